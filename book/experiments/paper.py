@@ -192,7 +192,7 @@ class Experiment:
 
     def is_motion(self, network: str) -> bool:
         """Return whether a network is a Motion, which learns from scenes and forecasts from whole clouds."""
-        described = self.protocol["networks"].get(network, {"model": network})
+        described = self.protocol["networks"].get(network, {"model": "motion"})  # a checkpoint of data_small
         return bool(described["model"] == "motion")
 
     def seen_by(self, network: str, episodes: NDArray[np.int64]) -> Scenes | Remedied:
@@ -343,7 +343,8 @@ class Experiment:
                 if seed in seeds:
                     found.append(Asked(network, films, seed, training.folder / "best.safetensors"))
         for seed, checkpoint in enumerate(self.protocol["motion"]):
-            found.append(Asked("motion", 0, seed, CHECKPOINTS / f"{checkpoint}.safetensors"))
+            for name in self.protocol.get("tiers", ["motion"]):
+                found.append(Asked(name, 0, seed, CHECKPOINTS / f"{checkpoint}.safetensors"))
         return found
 
     def forecaster(self, asked: Asked, windows: WindowDataset) -> Forecaster:
@@ -358,7 +359,8 @@ class Experiment:
             return of_windows(Predictor.load(self.ridge(asked.films)).model)
         predictor = Predictor.load(asked.checkpoint)
         if self.is_motion(asked.name):
-            return turned(of_stream(predictor, windows, HORIZONS), 0)
+            exact = () if asked.name == "motion_fast" else HORIZONS
+            return turned(of_stream(predictor, windows, exact), 0)
         return self.remedied(asked.name, windows).forecaster(predictor.model)
 
     def forecast(self) -> None:
