@@ -598,6 +598,30 @@ def test_loops_that_nobody_marked_are_found_and_named(tmp_path, name):
     assert sorted(set(borders.loop_names) - set(NAMED[name])) in ([], ["edge"])
 
 
+def plate(rows: int, columns: int, *empty: tuple[slice, slice]) -> tuple[np.ndarray, list[list[int]]]:
+    """A grid of squares of 4 cm in the plane y = 0, the top row first, without some of them."""
+    filled = np.ones((rows, columns), bool)
+    for cells in empty:
+        filled[cells] = False
+    corners = np.argwhere(filled)[:, None] + [[0, 0], [1, 0], [1, 1], [0, 1]]
+    ids, faces = np.unique(corners.reshape(-1, 2), axis=0, return_inverse=True)
+    return np.column_stack([0.04 * ids[:, 1], np.zeros(len(ids)), -0.04 * ids[:, 0]]), faces.reshape(-1, 4).tolist()
+
+
+@pytest.mark.parametrize(
+    ("mesh", "names"),
+    [
+        (plate(12, 12, np.s_[1:11, 1:11]), ["loop"]),  # a ring
+        (plate(30, 12, np.s_[1:11, 1:11], np.s_[12:, :5], np.s_[12:, 7:]), ["loop"]),  # a noose on a rope
+        (plate(14, 14, np.s_[1:3, 2:4], np.s_[1:3, 10:12], np.s_[11:13, 6:8]), ["hole 1", "hole 2", "hole 3"]),
+        (plate(20, 12, np.s_[1:8, 4:8]), ["neck"]),
+    ],
+)
+def test_what_is_no_part_of_a_garment_gets_a_neutral_name(mesh, names, tmp_path):
+    path = written(tmp_path / "mesh.obj", *mesh)
+    assert sorted(Garment.from_mesh(path, loops="auto", up="z").loop_names) == names
+
+
 @pytest.mark.parametrize("name", ["shirt", "vest"])
 def test_a_dressed_shirt_is_judged_by_names_and_not_by_the_order_of_its_borders(tmp_path, name):
     dummy = Mannequin()

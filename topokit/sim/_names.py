@@ -3,7 +3,7 @@
 A border low down and wide is a hem, and then the garment is a tube: a loop aside of it is for an arm, one on top for the neck.
 A tube of two wide borders is a skirt, of a waist and a hem. Two low borders side by side, and one on top, are those of trousers.
 A border that goes around another loop is the edge of the cloth. Of the rest, the loops of a flat cloth (an apron) are a neck
-at the top, a waist or holes; those of a bag are handles at the top, or straps.
+at the top, a waist or holes; those of a bag are handles at the top, or straps. What is none of these is a "loop".
 """
 
 from __future__ import annotations
@@ -18,6 +18,7 @@ from topokit.linking import side_lengths
 from ._surface import Array, Ids, border_cycles
 
 _TOP = 0.12  # of the height: a strap is at most as wide
+_TALL = 0.2  # of the height: a strap is taller
 _SLACK = np.array([0.05, 0.15, 0.05])  # by which a loop may stand out of the one around it
 # Of the largest extent: a level border rises less, and two that are twice as far apart are those of a skirt.
 _LEVEL = 0.07
@@ -65,20 +66,23 @@ def named(vertices: Array, faces: Ids, loops: Sequence[Ids]) -> tuple[str, ...]:
     # A tube: hem, arms and neck.
     if not flat and any(_is_hem(box) for box in borders):
         return numbered([_kind_on_tube(box) for box in boxes])
-    # A border that goes around a clearly shorter loop is the edge of the cloth; so is the only border of the only loop.
+    # A border that goes around a clearly shorter loop is the edge of the cloth, in a flat cloth around any shorter loop; so is
+    # the only border of the only loop.
+    longer = 1.05 if flat else 1.3
     lengths = [side_lengths(vertices[loop]).sum() for loop in loops]
     is_border = [any(set(loop.tolist()) == set(border.tolist()) for border in outlines) for loop in loops]
     is_edge = [len(borders) == len(boxes) == 1 and is_border[0]] * len(boxes)
     for (i, box), (j, other) in itertools.permutations(enumerate(boxes), 2):
         around = (box[0] < other[0] + _SLACK).all() and (box[1] > other[1] - _SLACK).all()
-        is_edge[i] |= bool(is_border[i] and around and lengths[i] > 1.3 * lengths[j])
+        is_edge[i] |= bool(is_border[i] and around and lengths[i] > longer * lengths[j])
     inner = [box for box, edge in zip(boxes, is_edge, strict=True) if not edge]
     # A mask: one loop is above, and the other is its mirror image.
     if flat and len(inner) == 2 and np.abs(inner[0] + inner[1][::-1] - [0, 0, 1])[:, [0, 2]].max() < 0.1:
         kinds = ["ear"] * len(boxes)
     else:
         tops = sum(box[1, 2] > 1 - _TOP for box in inner)
-        kinds = [_kind(box, flat, tops) for box in boxes]
+        below = [_width_below(vertices, box) for box in boxes]
+        kinds = [_kind(box, flat, tops, width) for box, width in zip(boxes, below, strict=True)]
     return numbered(["edge" if edge else word for edge, word in zip(is_edge, kinds, strict=True)])
 
 
@@ -155,10 +159,30 @@ def _kind_on_tube(box: Array) -> str:
     return "neck"
 
 
-def _kind(box: Array, flat: bool, tops: int) -> str:
-    """Return the kind of a loop of a garment that is no tube; `tops` is the number of loops that reach its top."""
+def _width_below(vertices: Array, box: Array) -> float:
+    """Return how wide the cloth is well below a loop, in the unit of its box: nothing below a ring, little below a noose."""
+    if box[0, 2] < _TOP:
+        return 0.0
+    height = (vertices[:, 2] - vertices[:, 2].min()) / max(np.ptp(vertices[:, 2]), 1e-12)
+    cloth = np.flatnonzero(height < 0.8 * box[0, 2])
+    return float(np.ptp(_box(vertices, cloth)[:, 0]))
+
+
+def _kind(box: Array, flat: bool, tops: int, below: float) -> str:
+    """Return the kind of a loop of a garment that is no tube.
+
+    `tops` is the number of loops that reach its top, and `below` the width of the cloth under this one.
+    """
+    size = np.ptp(box, axis=0)
+    at_top = box[1, 2] > 1 - _TOP
     if not flat:
-        return "strap" if abs(box[:, 0].mean()) > 0.15 else "handle"
-    if box[1, 2] > 1 - _TOP:
-        return "neck" if tops == 1 else "strap"
-    return "waist" if np.ptp(box[:, 0]) > 0.5 else "hole"
+        if abs(box[:, 0].mean()) > 0.15 and size[2] > _TALL:
+            return "strap"
+        return "handle" if at_top else "loop"
+    if at_top and below < 0.5 * size[0]:
+        return "loop"  # a ring or a noose
+    if at_top and tops == 1:
+        return "neck"
+    if at_top and size[2] > _TALL:
+        return "strap"
+    return "waist" if size[0] > 0.5 else "hole"
