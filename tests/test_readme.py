@@ -7,6 +7,7 @@ import re
 from pathlib import Path
 
 import _rips_tables
+import pandas as pd
 
 ROOT = Path(__file__).parent.parent
 README = (ROOT / "README.md").read_text()
@@ -40,6 +41,23 @@ def test_shares_in_the_hull():
     for line in lines:
         name, *shown = (cell.strip() for cell in line.strip("|").split("|"))
         assert [int(cell) for cell in shown] == [per_cent(name, model) for model in models]
+
+
+FORECASTERS = {"seqPH, sees the frame": "seqph", "seqPH, sees 128 points of it": "seqph_128_points", "MLP with skip": "mlp_skip"}
+COLUMNS = (("apron", "marked"), ("apron", "marked1"), ("apron2", "wide"))
+
+
+def test_shares_in_the_setting_of_the_paper():
+    table = pd.read_csv(ROOT / "book" / "results" / "paper.csv", dtype={"seed": str})
+    of_all = (table["seed"] == "all") & (table["horizon"] == "mean") & table["training_films"].isin([0, 1000])
+    table = table[of_all & (table["setting"] == "paper") & (table["mesh"] == "coarse")]
+    share = table.set_index(["garments", "measure", "forecaster"])["share"]
+    _, _, *lines = USAGE.split("<!-- book/results/paper.csv -->")[1].strip().splitlines()
+    assert lines
+    for line in lines:
+        name, *shown = (cell.strip() for cell in line.strip("|").split("|"))
+        forecaster = FORECASTERS.get(name, name.lower())
+        assert [int(cell) for cell in shown] == [round(100 * share[(*column, forecaster)]) for column in COLUMNS]
 
 
 def test_times_of_persistence():
