@@ -107,12 +107,17 @@ def test_help_imports_nothing_heavy():
 # -- track: episodes --------------------------------------------------------------------------------------------------------
 
 
-def test_track_prints_a_table_and_writes_the_tracks(episode, capsys):
+def test_track_prints_a_table_and_writes_the_tracks_where_it_is_told_to(episode, tmp_path, capsys):
+    beside = set(episode.parent.iterdir())
     assert main(["track", str(episode)]) == 0
     out = capsys.readouterr().out
     assert "lifetime" in out
     assert "true loop" in out
-    assert len(load_states(episode.with_suffix(".tracks.npz"))) == len(load_episode(episode))
+    assert set(episode.parent.iterdir()) == beside  # a data set is not changed by a look at it
+    tracks = tmp_path / "tracks.npz"
+    assert main(["track", str(episode), "--out", str(tracks)]) == 0
+    assert f"tracks: {tracks}" in capsys.readouterr().out
+    assert len(load_states(tracks)) == len(load_episode(episode))
 
 
 def test_the_neck_loop_keeps_one_name(episode, capsys):
@@ -156,7 +161,6 @@ def test_tracks_as_lines_and_as_a_picture(episode, tmp_path):
         (["episode.npz", "--unit", "mm"], "--unit"),
         (["film"], "0.pcd"),
         (["film", "--unit", "mm", "--plot", "a.txt"], ".png"),
-        (["film/*.pcd", "--unit", "mm"], "--out"),
         (["film", "--unit", "mm", "--pipeline", "bad.json"], "voxels"),
         (["film", "--unit", "mm", "--columns", "a,b,c"], "no a"),
         (["cloud.txt"], ".txt"),
@@ -184,11 +188,11 @@ def test_bad_calls_of_track_write_nothing(arguments, names, episode, film, tmp_p
 def test_track_takes_a_film(film, tmp_path, capsys):
     (tmp_path / "how.json").write_text('{"points": 100, "voxel": 0.001}')
     arguments = ["track", film, "--unit", "mm", "--fps", "10", "--pipeline", tmp_path / "how.json"]
-    answer = answer_of(capsys, *arguments)
+    answer = answer_of(capsys, *arguments, "--out", tmp_path / "film.npz")
     assert answer["removed"]["not finite"] == 5 * 40
     assert answer["removed"]["by farthest points"] == 5 * 260
     assert [loop["frames"] for loop in answer["loops"]] == [5]
-    states = load_states(tmp_path / "film.tracks.npz")
+    states = load_states(tmp_path / "film.npz")
     assert [state.time for state in states] == pytest.approx([0, 0.1, 0.2, 0.3, 0.4])
     assert [[loop.id for loop in state.loops] for state in states] == [[0]] * 5
     assert main([*map(str, arguments)]) == 0
@@ -207,7 +211,9 @@ def test_a_single_cloud_is_told_and_drawn(tmp_path, capsys):
 
 def test_track_takes_the_folder_that_it_runs_in(film, monkeypatch, capsys):
     monkeypatch.chdir(film)
-    assert answer_of(capsys, "track", ".", "--unit", "mm")["tracks"] == f"{film}.tracks.npz"
+    answer = answer_of(capsys, "track", ".", "--unit", "mm")
+    assert answer["frames"] == 5
+    assert answer["tracks"] is None
 
 
 def test_tracks_of_one_file_do_not_spoil_its_folder(film, capsys):

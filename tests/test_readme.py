@@ -6,8 +6,9 @@ import json
 import re
 from pathlib import Path
 
-import _rips_tables
 import pandas as pd
+
+import _rips_tables
 
 ROOT = Path(__file__).parent.parent
 README = (ROOT / "README.md").read_text()
@@ -43,7 +44,11 @@ def test_shares_in_the_hull():
         assert [int(cell) for cell in shown] == [per_cent(name, model) for model in models]
 
 
-FORECASTERS = {"seqPH, sees the frame": "seqph", "seqPH, sees 128 points of it": "seqph_128_points", "MLP with skip": "mlp_skip"}
+FORECASTERS = {
+    "seqPH, sees the frame": "seqph",
+    "seqPH, sees 128 points of it": "seqph_128_points",
+    "MLP with skip": "mlp_skip",
+}
 COLUMNS = (("apron", "marked"), ("apron", "marked1"), ("apron2", "wide"))
 
 

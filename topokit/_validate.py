@@ -45,7 +45,7 @@ def as_points(
     n, d = array.shape
     if refuse_transposed and 0 < n < 4 and d > 32:
         question = f"{name} has {n} rows and {d} columns: are they {d} points in {n} dimensions? Then give {name}.T"
-        raise ValueError(f"{question}, one row a point; if not, repeat one to be told that there is no loop")
+        raise ValueError(f"{question}, one row a point; if not, there is no loop: fewer than four points have none")
 
     # A number of longer floating point may overflow here. It becomes infinite, and the next check names it.
     with np.errstate(over="ignore"):

@@ -287,7 +287,7 @@ def track(
     live
         Read clouds from standard input, .npy arrays one after another, and print a line of JSON for each as it comes.
     out
-        Tracks to write (default: PATH.tracks.npz), or a line of JSON for each frame (.jsonl).
+        File to write the tracks to (.npz), or a line of JSON for each frame (.jsonl).
     plot
         Also draw the tracks of an episode, or the last of the clouds with its loops (.png, .svg or .pdf).
     cloud
@@ -301,7 +301,7 @@ def track(
         return _track_live(clouds, tracker)
     if episode is None:
         raise ValueError("name an episode or clouds, or give --live to read clouds from standard input")
-    out = _tracks_file(episode, out)
+    _check_tracks_file(episode, out)
     _check_output("--plot", plot, PICTURES)
 
     # Options that do not apply to this kind of input are refused.
@@ -321,22 +321,16 @@ def _is_archive_of_ours(path: Path) -> bool:
     return is_archive(path)
 
 
-def _tracks_file(episode: Path, out: Path | None) -> Path:
-    """Return where to write the tracks, or raise ValueError when they cannot be written there."""
-    if out is None:
-        named = episode
-        if not episode.name.strip("."):
-            named = episode.resolve()  # "." and ".." are named after the folder
-        out = named.with_suffix(".tracks.npz")
-    if set(out.name) & set("*?["):
-        raise ValueError(f"--out: name a file for the tracks of {episode}")
-    if out.resolve() == episode.resolve():
+def _check_tracks_file(episode: Path, out: Path | None) -> None:
+    """Raise ValueError when the tracks cannot be written there."""
+    if out is not None and out.resolve() == episode.resolve():
         raise ValueError(f"--out {out}: that is the episode itself")
     _check_output("--out", out, (".npz", ".jsonl"))
-    return out
 
 
-def _track_episode(path: Path, out: Path, plot: Path | None, cloud: str, tracker: TrackerOptions, as_json: bool) -> int:
+def _track_episode(
+    path: Path, out: Path | None, plot: Path | None, cloud: str, tracker: TrackerOptions, as_json: bool
+) -> int:
     """Track an episode, and compare the tracks with its true loops."""
     from ._archive import atomic_file
     from .evaluate import summarise_tracks
@@ -358,7 +352,7 @@ def _track_episode(path: Path, out: Path, plot: Path | None, cloud: str, tracker
     _write_states(out, states)
 
     if as_json:
-        print(json.dumps({"episode": str(path), "frames": len(states), "tracks": str(out), "loops": rows}))
+        print(json.dumps({"episode": str(path), "frames": len(states), "tracks": _name_of(out), "loops": rows}))
         return 0
     _print(f"{path}: {episode.garment} to {episode.target}, {len(states)} frames, {cloud}")
     print("  id  first  last  frames  lifetime  true loop  distance  in hull")
@@ -366,14 +360,12 @@ def _track_episode(path: Path, out: Path, plot: Path | None, cloud: str, tracker
         true_loop = row["true_loop"] if row["true_loop"] >= 0 else "-"
         compared = f"{true_loop:>9} {100 * row['distance']:>6.2f} cm {100 * row['in_hull']:>6.1f} %"
         print(f"{_row_of_track(row)}  {compared}")
-    _print_where(rows, out)
-    if plot is not None:
-        _print(f"picture: {plot}")
+    _print_where(rows, out, plot)
     return 0
 
 
 def _track_clouds(
-    path: Path, out: Path, plot: Path | None, clouds: CloudOptions, tracker: TrackerOptions, as_json: bool
+    path: Path, out: Path | None, plot: Path | None, clouds: CloudOptions, tracker: TrackerOptions, as_json: bool
 ) -> int:
     """Track clouds that topokit did not record, each of them cleaned first."""
     from collections import Counter
@@ -426,7 +418,7 @@ def _track_clouds(
     summaries = summarise_tracks(states, np.empty((len(states), 0, 3)), ())
     rows = [{name: getattr(summary, name) for name in names} for summary in summaries]
     if as_json:
-        answer = {"film": str(path), "removed": removed, "frames": len(states), "blind": blind, "tracks": str(out)}
+        answer = {"film": str(path), "removed": removed, "frames": len(states), "blind": blind, "tracks": _name_of(out)}
         print(json.dumps({**answer, "loops": rows}))
         return 0
     unseen = f", {blind} of them without a point" if blind else ""
@@ -441,9 +433,7 @@ def _track_clouds(
         for loop in states[0].loops:
             x, y, z = loop.cycle_points.mean(axis=0)
             print(f"   loop {loop.id} is around ({x:.3f}, {y:.3f}, {z:.3f}) m, through {len(loop.cycle)} points")
-    _print_where(rows, out)
-    if plot is not None:
-        _print(f"picture: {plot}")
+    _print_where(rows, out, plot)
     return 0
 
 
@@ -471,7 +461,9 @@ def _nothing_left(frames: int, removed: dict[str, int]) -> str:
     return f"nothing is left of {frames} frames: removed were {counts}; check box and units"
 
 
-def _write_states(path: Path, states: Sequence[TopologicalState]) -> None:
+def _write_states(path: Path | None, states: Sequence[TopologicalState]) -> None:
+    if path is None:
+        return
     from ._archive import atomic_file
     from .io import save_states
 
@@ -487,10 +479,18 @@ def _row_of_track(row: dict[str, Any]) -> str:
     return f"{row['id']:>4} {row['first']:>6} {row['last']:>5} {row['frames']:>7} {100 * row['lifetime']:>6.2f} cm"
 
 
-def _print_where(rows: Sequence[Any], out: Path) -> None:
+def _print_where(rows: Sequence[Any], out: Path | None, plot: Path | None) -> None:
+    """Print what was written, and that there is no loop where there is none."""
     if not rows:
         print("   no loop in any frame")
-    _print(f"tracks: {out}")
+    for what, path in (("tracks", out), ("picture", plot)):
+        if path is not None:
+            _print(f"{what}: {path}")
+
+
+def _name_of(path: Path | None) -> str | None:
+    """Return a path for JSON."""
+    return None if path is None else str(path)
 
 
 def _track_live(clouds: CloudOptions, tracker: TrackerOptions) -> int:
@@ -815,6 +815,9 @@ def hang(
     else:
         decision = 1000 * result.seconds_a_decision
         _print(f"{result.episode.task}: {result.reason}; {result.steps} frames, {decision:.0f} ms a decision")
+        for what, path in (("episode", out), ("film", film)):
+            if path is not None:
+                _print(f"{what}: {path}")
     return int(not result.success)
 
 
@@ -960,7 +963,7 @@ def check(dataset: str, /, *, quiet: Quiet = False, as_json: Json = False) -> in
     else:
         for problem in problems:
             _print(str(problem))
-        summary = f"{len(problems)} problems" if problems else "all is well"
+        summary = f"{len(problems)} problem{'s' * (len(problems) > 1)}" if problems else "all is well"
         _print(f"{dataset}: {summary}")
     return int(bool(problems))
 

@@ -7,6 +7,7 @@ from __future__ import annotations
 
 import json
 import textwrap
+import zipfile
 import zlib
 from collections.abc import Mapping
 from dataclasses import asdict
@@ -109,6 +110,8 @@ def load_tensors(path: str | Path) -> tuple[dict[str, Any], dict[str, Tensor]]:
         When the file is damaged, or was not written by topokit.
     """
     path = existing(path)
+    if zipfile.is_zipfile(path):
+        raise FormatError(f"{path}: this is an archive, such as an episode (.npz), and no checkpoint (.safetensors)")
     try:
         with safe_open(str(path), framework="pt") as archive:
             metadata = archive.metadata() or {}

@@ -229,6 +229,8 @@ def _load(function: str) -> bool:
             return True
         what = "large clouds" if function == LARGE_CLOUD else "clouds"
         message = f"topokit: compiling the persistence kernel for {what} (once)"
+        if _numba.is_compiled(function):
+            message = f"topokit: loading the compiled persistence kernel for {what}"
         notice = threading.Timer(_PATIENCE, print, [message], {"file": sys.stderr, "flush": True})
         notice.start()
         try:

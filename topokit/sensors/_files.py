@@ -405,7 +405,9 @@ def _npz(path: Path, declared: _Declared) -> Frames:
         check_size(archive.zip.infolist(), path.stat().st_size)
         names = [name for name in archive.files if name != "times"]
         if HEADER in names:
-            raise ValueError("it is a file of topokit, not a film of clouds: read it by load_episode or load_states")
+            raise ValueError(
+                "it is a file of topokit, not a film of clouds: track it alone, or read it by load_episode"
+            )
         if "points" in names:
             names = ["points"]
         is_film = bool(names) and all(name.startswith("arr_") for name in names)
