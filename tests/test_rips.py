@@ -431,14 +431,19 @@ def test_ctrl_c_is_heard_at_any_moment(computation, tmp_path):
 
 
 @of_the_kernel
-@pytest.mark.parametrize("seconds", [0.3, 0.0])
-def test_long_compilation_is_announced(monkeypatch, capsys, seconds):
+@pytest.mark.parametrize(
+    ("seconds", "kept", "says"), [(0.3, False, "compiling"), (0.3, True, "loading"), (0.0, False, "")]
+)
+def test_long_compilation_is_announced(monkeypatch, capsys, seconds, kept, says):
     monkeypatch.setattr(_pairs, "_PATIENCE", 0.1)
     monkeypatch.setattr(_pairs, "_ready", set())
     monkeypatch.setattr(_pairs, "_pairs_of_kernel", lambda *_: time.sleep(seconds))
+    monkeypatch.setattr(_pairs._numba, "is_compiled", lambda _: kept)
     _pairs._load(_pairs.CLOUDS)
     time.sleep(0.2)
-    assert ("compiling" in capsys.readouterr().err) == bool(seconds)
+    announced = capsys.readouterr().err
+    assert says in announced
+    assert bool(announced) == bool(seconds)
     monkeypatch.setattr(_pairs, "_pairs_of_kernel", None)
     _pairs._load(_pairs.CLOUDS)  # once is enough
 
