@@ -236,7 +236,7 @@ REFUSED: list[tuple[str, str, Any, str]] = [
     ("cloud", "lying.npz", partial(zip_of, points__npy=npy_header("(10000000, 3)")), "240000"),
     ("cloud", "times.npz", partial(zip_of, points__npy=npy([ring()]), times__npy=npy_header("(100000000,)")), "times"),
     ("cloud", "escape.npz", npz(**{"\x1b[31m": ring(), "\u202eb": ring()}), r"\\x1b\[31m, \\u202eb"),
-    ("cloud", "ours.npz", lambda path: save_states(path, track([ring()])), "load_episode"),
+    ("cloud", "ours.npz", lambda path: save_states(path, track([ring()])), "load_states"),
     ("cloud", "colour.png", png(np.zeros((30, 40, 3), np.uint8)), "RGB"),
     ("cloud", "depth.png", png(depth_image()), "fx, fy, cx and cy"),
     ("cloud", "bomb.png", png(np.zeros((4000, 4000), np.uint16)), "TOPOKIT_UNPACKED"),

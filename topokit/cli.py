@@ -483,7 +483,12 @@ def _print_where(rows: Sequence[Any], out: Path | None, plot: Path | None) -> No
     """Print what was written, and that there is no loop where there is none."""
     if not rows:
         print("   no loop in any frame")
-    for what, path in (("tracks", out), ("picture", plot)):
+    _print_files(tracks=out, picture=plot)
+
+
+def _print_files(**files: Path | None) -> None:
+    """Print which files were written."""
+    for what, path in files.items():
         if path is not None:
             _print(f"{what}: {path}")
 
@@ -815,9 +820,7 @@ def hang(
     else:
         decision = 1000 * result.seconds_a_decision
         _print(f"{result.episode.task}: {result.reason}; {result.steps} frames, {decision:.0f} ms a decision")
-        for what, path in (("episode", out), ("film", film)):
-            if path is not None:
-                _print(f"{what}: {path}")
+        _print_files(episode=out, film=film)
     return int(not result.success)
 
 

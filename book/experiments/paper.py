@@ -171,9 +171,13 @@ class Experiment:
             raise ValueError(f"{len(chosen)} labelled films to train on, and {films} are wanted: run films and labels")
         return chosen, known[known < first]
 
+    def windows_of(self, episodes: NDArray[np.int64]) -> WindowDataset:
+        """Return the windows of some films."""
+        return _windows(self.folder / "films", tuple(episodes.tolist()), self.shape.points)
+
     def validation_windows(self) -> WindowDataset:
         """Return the windows of the validation films."""
-        return _windows(self.folder / "films", tuple(self.training_films(1)[1].tolist()), self.shape.points)
+        return self.windows_of(self.training_films(1)[1])
 
     def train(self, network: str, films: int, seed: int, rate: float, epochs: int) -> Trained:
         """Train a network, or go on with it, or return what it reached."""
@@ -199,8 +203,7 @@ class Experiment:
         """Return what a network sees of some films in its training."""
         if self.is_motion(network):
             return Scenes(Dataset(self.folder / "films"), episodes.tolist())
-        windows = _windows(self.folder / "films", tuple(episodes.tolist()), self.shape.points)
-        return self.remedied(network, windows)
+        return self.remedied(network, self.windows_of(episodes))
 
     def remedied(self, network: str, windows: WindowDataset) -> Remedied:
         """Return windows with the remedies of a network."""
@@ -295,7 +298,7 @@ class Experiment:
         out = self.folder / "trainings" / f"ridge-{films}"
         if not (out / "best.safetensors").exists():
             chosen, _ = self.training_films(films)
-            windows = _windows(self.folder / "films", tuple(chosen.tolist()), self.shape.points)
+            windows = self.windows_of(chosen)
             config = TrainConfig(
                 model="ridge",
                 shape=self.shape,
@@ -310,7 +313,7 @@ class Experiment:
     def height(self, films: int) -> float:
         """Return how far below the grippers' middle the first loop is in the last frame of a history, in the median, metres."""
         chosen, _ = self.training_films(films)
-        windows = _windows(self.folder / "films", tuple(chosen.tolist()), self.shape.points)
+        windows = self.windows_of(chosen)
         heights = []
         for row in np.linspace(0, len(windows) - 1, min(len(windows), 2000)).astype(int):
             window = windows[int(row)]

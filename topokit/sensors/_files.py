@@ -406,7 +406,7 @@ def _npz(path: Path, declared: _Declared) -> Frames:
         names = [name for name in archive.files if name != "times"]
         if HEADER in names:
             raise ValueError(
-                "it is a file of topokit, not a film of clouds: track it alone, or read it by load_episode"
+                "it is a file of topokit, not a film of clouds: track an episode alone, or read it by load_episode or load_states"
             )
         if "points" in names:
             names = ["points"]

@@ -81,8 +81,7 @@ def named(vertices: Array, faces: Ids, loops: Sequence[Ids]) -> tuple[str, ...]:
         kinds = ["ear"] * len(boxes)
     else:
         tops = sum(box[1, 2] > 1 - _TOP for box in inner)
-        below = [_width_below(vertices, box) for box in boxes]
-        kinds = [_kind(box, flat, tops, width) for box, width in zip(boxes, below, strict=True)]
+        kinds = [_kind(vertices, box, flat, tops) for box in boxes]
     return numbered(["edge" if edge else word for edge, word in zip(is_edge, kinds, strict=True)])
 
 
@@ -96,6 +95,12 @@ def _box(vertices: Array, loop: Ids) -> Array:
     return np.array([places.min(axis=0), places.max(axis=0)])
 
 
+def _heights(vertices: Array) -> Array:
+    """Return the heights (n,) of vertices, from 0 to 1."""
+    low = vertices[:, 2].min()
+    return (vertices[:, 2] - low) / max(np.ptp(vertices[:, 2]), 1e-12)
+
+
 def _is_hem(box: Array) -> bool:
     """Return True for a border low down and wide."""
     return bool(box[1, 2] < 0.35 and np.ptp(box[:, :2], axis=0).max() > 0.3)
@@ -103,7 +108,7 @@ def _is_hem(box: Array) -> bool:
 
 def is_open_front(vertices: Array, faces: Ids, border: Ids) -> bool:
     """Return True for a border that runs from the top to the bottom of a garment that is not flat, and is not plane itself."""
-    height = (vertices[border, 2] - vertices[:, 2].min()) / max(np.ptp(vertices[:, 2]), 1e-12)
+    height = _heights(vertices)[border]
     extents = np.linalg.svd(vertices[border] - vertices[border].mean(axis=0), compute_uv=False)
     plane = extents[2] < 0.12 * extents[0]
     return bool(height.min() < 0.1 and height.max() > 0.8 and not plane and not is_flat(vertices, faces))
@@ -163,23 +168,19 @@ def _width_below(vertices: Array, box: Array) -> float:
     """Return how wide the cloth is well below a loop, in the unit of its box: nothing below a ring, little below a noose."""
     if box[0, 2] < _TOP:
         return 0.0
-    height = (vertices[:, 2] - vertices[:, 2].min()) / max(np.ptp(vertices[:, 2]), 1e-12)
-    cloth = np.flatnonzero(height < 0.8 * box[0, 2])
+    cloth = np.flatnonzero(_heights(vertices) < 0.8 * box[0, 2])
     return float(np.ptp(_box(vertices, cloth)[:, 0]))
 
 
-def _kind(box: Array, flat: bool, tops: int, below: float) -> str:
-    """Return the kind of a loop of a garment that is no tube.
-
-    `tops` is the number of loops that reach its top, and `below` the width of the cloth under this one.
-    """
+def _kind(vertices: Array, box: Array, flat: bool, tops: int) -> str:
+    """Return the kind of a loop of a garment that is no tube; `tops` is the number of loops that reach its top."""
     size = np.ptp(box, axis=0)
     at_top = box[1, 2] > 1 - _TOP
     if not flat:
         if abs(box[:, 0].mean()) > 0.15 and size[2] > _TALL:
             return "strap"
         return "handle" if at_top else "loop"
-    if at_top and below < 0.5 * size[0]:
+    if at_top and _width_below(vertices, box) < 0.5 * size[0]:
         return "loop"  # a ring or a noose
     if at_top and tops == 1:
         return "neck"
