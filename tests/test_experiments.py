@@ -17,14 +17,15 @@ import pytest
 import torch
 import tracking
 import tracking_benchmark
-from _paper_windows import Remedied
-from forecasts import Clouds, Condition, EvaluationConfig, evaluate_forecasts, load_evaluation
+from _paper_tables import MEASURES, lost
+from _paper_windows import LabelledScenes, Remedied
+from forecasts import HORIZONS, Clouds, Condition, EvaluationConfig, evaluate_forecasts, load_evaluation
 from scipy.stats import mannwhitneyu
 from tables import bootstrap, draw_episodes, interval
 from torch.utils.data import default_collate
 
-from topokit.data import WindowDataset
-from topokit.models import Shape, build
+from topokit.data import Dataset, WindowDataset
+from topokit.models import Motion, Normalisation, Shape, build
 
 from conftest import DATA
 
@@ -198,6 +199,28 @@ def test_the_papers_experiment_goes_from_films_to_a_table_and_goes_on(tmp_path, 
     paper.main(arguments)
 
 
+def test_a_loss_from_some_films_to_others_has_the_interval_of_both():
+    rng = np.random.default_rng(0)
+    near = {"all but a tenth": 0.9, "half": 0.5}
+    parts = []
+    for share in near.values():
+        for name in ("motion", "carry"):
+            hits = (rng.random(400) < share) if name == "motion" else np.zeros(400, bool)
+            for step in HORIZONS:
+                part = pd.DataFrame({"episode": np.arange(400), "garment": "one kind", "model": name, "step": step})
+                part = part.assign(films=0, seed=0)
+                for column, _ in MEASURES.values():
+                    part[column] = np.where(hits, 0.0, 1.0)
+                parts.append(part)
+    usual, other = pd.concat(parts[: len(parts) // 2]), pd.concat(parts[len(parts) // 2 :])
+    loss = lost(usual, other)["wide"]
+    mean, low, high = loss["motion"]["later"]
+    assert mean == pytest.approx(40, abs=5)
+    # Two binomial shares of 400 films.
+    assert high - low == pytest.approx(2 * 196 * np.sqrt((0.9 * 0.1 + 0.5 * 0.5) / 400), rel=0.2)
+    assert loss["carry"]["mean"] == [0, 0, 0]
+
+
 def test_windows_in_the_frame_of_the_grippers_are_the_same_scene():
     windows = WindowDataset(DATA / "dataset", [0, 1], n_points=8)
     window = default_collate([windows[i] for i in (0, 9, len(windows) - 1)])
@@ -215,6 +238,28 @@ def test_windows_in_the_frame_of_the_grippers_are_the_same_scene():
     # Carry forecasts the same in any frame.
     carry = build("carry", Shape(points=8)).eval()
     assert torch.allclose(remedied.forecaster(carry)(window).corners, carry(window).corners, atol=1e-5)
+
+
+def test_scenes_of_labels_tell_how_loops_moved_and_nothing_of_other_points():
+    dataset = Dataset(DATA / "dataset")
+    scenes = LabelledScenes(dataset, [0, 1])
+    number, frame = scenes.index[20].tolist()
+    scene = scenes[20]
+    states = dataset.states(number, "full")
+    (loop, *_) = states[frame].loops
+    assert np.allclose(scene["points"][:6], loop.killer_triangles.reshape(6, 3), atol=1e-4)
+    (then,) = [later for later in states[frame + 15].loops if later.id == loop.id]
+    moved = scene["future"][4, 24:30] - scene["points"][:6]  # the fifth knot is 15 frames ahead
+    assert np.allclose(moved, then.centre - loop.centre, atol=1e-4)
+    assert scene["known"][4, 24:30].all()
+    assert not scene["known"][:, :24].any()
+
+    # What is said of points whose future is unknown does not change the loss.
+    batch = default_collate([scene])
+    other = {**batch, "future": batch["future"] + 0.2 * ~batch["known"][..., None]}
+    model = Motion(Shape(points=160), Normalisation())
+    losses = [model.loss(one, torch.Generator().manual_seed(0))[0] for one in (batch, other)]
+    assert torch.isclose(*losses, rtol=1e-3)
 
 
 LINKED = {

@@ -25,7 +25,7 @@ FEW = 5  # films of a garment; with fewer, its films are drawn with those of oth
 DRAWS = 1000
 
 
-def shares_of(samples: pd.DataFrame) -> dict[str, tuple[pd.DataFrame, pd.Series]]:
+def shares_of(samples: pd.DataFrame, draws_seed: int = 0) -> dict[str, tuple[pd.DataFrame, pd.Series]]:
     """Return for each measure the shares in all draws, and the numbers of windows measured.
 
     Columns are (model, seed or "all", horizon or "mean").
@@ -42,7 +42,7 @@ def shares_of(samples: pd.DataFrame) -> dict[str, tuple[pd.DataFrame, pd.Series]
     # All seeds together, and each of them alone where a model has several.
     seeds = samples.groupby("model")["seed"].transform("nunique")
     parts = {"all": samples} | {str(seed): part for seed, part in samples[seeds > 1].groupby("seed")}
-    totals = {seed: bootstrap(part, columns, DRAWS) for seed, part in parts.items()}
+    totals = {seed: bootstrap(part, columns, DRAWS, draws_seed) for seed, part in parts.items()}
     answer = {}
     for name in MEASURES:
         shares = {}
@@ -128,8 +128,28 @@ def differences(shares: pd.DataFrame, films: int) -> dict[str, Any]:
     for one, other in pairs:
         if one not in models or other not in models:
             continue
-        points = 100 * (shares[models[one]]["all"] - shares[models[other]]["all"])
-        points["later"] = points[["15", "30", "60"]].mean(axis=1)
-        cells = interval(points).round(2)
-        found[f"{one} - {other}"] = {step: cells.loc[step].tolist() for step in cells.index}
+        found[f"{one} - {other}"] = _in_points(shares[models[one]]["all"] - shares[models[other]]["all"])
     return found
+
+
+def lost(usual: pd.DataFrame, samples: pd.DataFrame) -> dict[str, Any]:
+    """Return for each measure how many points Motion and carry lose from the usual films to the films of some samples.
+
+    Films and training seeds of the two groups are drawn independently of each other.
+    """
+    names = ("motion", "carry")
+    before = shares_of(usual[usual["model"].isin(names)])
+    after = shares_of(samples[samples["model"].isin(names)], draws_seed=1)
+    found = {}
+    for measure in MEASURES:
+        there, here = (shares[measure][0] for shares in (before, after))
+        found[measure] = {name: _in_points(there[f"{name}|0"]["all"] - here[f"{name}|0"]["all"]) for name in names}
+    return found
+
+
+def _in_points(differences: pd.DataFrame) -> dict[str, Any]:
+    """Return the mean, low and high of drawn differences of shares, in points, by horizon."""
+    points = 100 * differences
+    points["later"] = points[["15", "30", "60"]].mean(axis=1)
+    cells = interval(points).round(2)
+    return {step: cells.loc[step].tolist() for step in cells.index}

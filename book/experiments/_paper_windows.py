@@ -3,7 +3,7 @@
 Idea: a remedy is a change of the windows, and of the forecast back. So the networks stay as they are. In the grippers' frame the
 origin is the middle of the grippers in the last frame of the history, and x points from the first to the second, seen from above.
 What a fully connected network is given besides (grippers of every frame, target, floor) are points before those of the cloud,
-each always in the same place.
+each always in the same place. A Motion learns where vertices went; `LabelledScenes` tell it what the other networks are told.
 """
 
 from __future__ import annotations
@@ -13,11 +13,15 @@ from collections.abc import Mapping, Sequence
 import numpy as np
 import torch
 from forecasts import Forecaster
+from numpy.typing import NDArray
 from torch import Tensor
 from torch.utils.data import Dataset, default_collate
 
 from topokit.data import WindowDataset
-from topokit.models import StateTensors
+from topokit.models import Scenes, StateTensors
+from topokit.models._motion import CARRIERS, KNOTS
+from topokit.models._scenes import ASKED
+from topokit.seqph import Loop, TopologicalState
 
 PLACES = ("clouds", "grippers", "actions", "triangles", "past_triangles")
 ON_TARGET = 4  # points of the target's line that a network is given
@@ -117,3 +121,46 @@ def from_frame(places: Tensor, origin: Tensor, turn: Tensor) -> Tensor:
     """Return places (B, ..., 3) of a frame in the room."""
     flat = places.flatten(1, -2) @ turn.transpose(1, 2)
     return (flat + origin[:, None]).view_as(places)
+
+
+class LabelledScenes(Scenes):
+    """Scenes in which a Motion is told how tracked loops moved, and not how vertices did.
+
+    It is asked for the corners of their killer triangles. Each corner is told to move as the middle of its loop does, where the
+    loop is still tracked. The futures of all other points are unknown.
+    """
+
+    _tracks: dict[int, list[TopologicalState]] | None = None
+
+    def __getitem__(self, i: int) -> dict[str, Tensor]:
+        scene = super().__getitem__(i)
+        number, frame = self.index[i].tolist()
+        loops = self.loops(number, frame)
+        future = scene["points"].expand(len(KNOTS), -1, -1).clone()
+        known = torch.zeros(len(KNOTS), ASKED, dtype=torch.bool)
+        of_corner = np.resize(np.repeat(range(len(loops)), 6), ASKED)
+        for row, ahead in enumerate(KNOTS):
+            then = {loop.id: loop.centre for loop in self.loops(number, frame + ahead)}
+            for k, loop in enumerate(loops):
+                if loop.id in then:
+                    corners = torch.from_numpy(of_corner == k)
+                    future[row, corners] += torch.from_numpy(then[loop.id] - loop.centre).to(future)
+                    known[row] |= corners
+        unknown = torch.zeros(len(KNOTS), CARRIERS, dtype=torch.bool)
+        scene["future"] = torch.cat([scene["future"][:, :CARRIERS], future], dim=1)
+        scene["known"] = torch.cat([unknown, known], dim=1)
+        return scene
+
+    def asked(self, number: int, frame: int) -> NDArray[np.int64] | None:
+        """Return the corners of the killer triangles, some twice; where there is no loop, vertices are drawn."""
+        corners = [loop.killer_triangle_ids.ravel() for loop in self.loops(number, frame)]
+        return np.resize(np.concatenate(corners), ASKED) if corners else None
+
+    def loops(self, number: int, frame: int) -> tuple[Loop, ...]:
+        """Return the tracked loops of a frame, none after the film's end."""
+        if self._tracks is None:
+            self._tracks = {}
+        if number not in self._tracks:
+            self._tracks[number] = self.dataset.states(number, "full")
+        states = self._tracks[number]
+        return states[frame].loops if frame < len(states) else ()

@@ -10,7 +10,7 @@ leaves alone what is in the folder already, so the same command goes on after it
 films      garments on coarse meshes, to train and to validate with
 labels     their loops, tracked on all vertices
 trainings  of each network: the rate, then the length, then all seeds; the learning curve has one seed at other numbers of films
-tests      films of two other seeds and their loops, on the usual mesh and on the coarse one of the training films
+tests      films of other seeds and their loops, on the usual mesh and on the coarse one of the training films
 forecasts  of all windows by all forecasters, on validation films and on test films
 table      shares with intervals, the logs of the trainings, and what became of the claims
 
@@ -36,8 +36,8 @@ from typing import Any
 import numpy as np
 import pandas as pd
 import torch
-from _paper_tables import MEASURES, table_of
-from _paper_windows import GIVEN, Remedied
+from _paper_tables import MEASURES, lost, table_of
+from _paper_windows import GIVEN, LabelledScenes, Remedied
 from forecasts import HORIZONS, Forecaster, measure, of_stream, of_windows, spread_windows, turned
 from numpy.typing import NDArray
 from tables import write_results
@@ -202,7 +202,9 @@ class Experiment:
     def seen_by(self, network: str, episodes: NDArray[np.int64]) -> Scenes | Remedied:
         """Return what a network sees of some films in its training."""
         if self.is_motion(network):
-            return Scenes(Dataset(self.folder / "films"), episodes.tolist())
+            told_loops = self.protocol["networks"][network].get("labels", False)
+            kind = LabelledScenes if told_loops else Scenes
+            return kind(Dataset(self.folder / "films"), episodes.tolist())
         return self.remedied(network, self.windows_of(episodes))
 
     def remedied(self, network: str, windows: WindowDataset) -> Remedied:
@@ -362,7 +364,7 @@ class Experiment:
             return of_windows(Predictor.load(self.ridge(asked.films)).model)
         predictor = Predictor.load(asked.checkpoint)
         if self.is_motion(asked.name):
-            exact = () if asked.name == "motion_fast" else HORIZONS
+            exact = () if asked.name in ("motion_fast", "motion_labels") else HORIZONS
             return turned(of_stream(predictor, windows, exact), 0)
         return self.remedied(asked.name, windows).forecaster(predictor.model)
 
@@ -440,13 +442,18 @@ class Experiment:
         for name, parts in ((f"{out.stem}_validation", {"validation": "coarse"}), (out.stem, tests)):
             tables = []
             claims = {}
+            whole = {}  # the samples of all garments
             for part, mesh in parts.items():
                 for garments, samples in self.samples(part):
+                    if garments == "all":
+                        whole[mesh] = samples
                     table, differences = table_of(
                         samples, protocol["training_films"], protocol["extrapolated_to"], protocol["curve"]["seed"]
                     )
                     tables.append(table.assign(setting=setting, mesh=mesh, garments=garments))
                     claims[f"{garments}, {mesh} mesh"] = differences
+            if {"usual", "sizes"} <= whole.keys():
+                claims["usual films - films of other sizes"] = lost(whole["usual"], whole["sizes"])
             if tables:
                 columns = [*KEYS, "share", "low", "high", "films", "windows"]
                 write_rows(out.with_name(f"{name}.csv"), pd.concat(tables)[columns], setting)

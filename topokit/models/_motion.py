@@ -288,7 +288,8 @@ class Motion(nn.Module):
         Parameters
         ----------
         scene : dict of Tensor
-            Scene with its plans, `future` (B, 13, carriers + n, 3) and `known` (B, 13), as `Scenes` returns it.
+            Scene with its plans, `future` (B, 13, carriers + n, 3) and `known` (B, 13), as `Scenes` returns it; or `known`
+            (B, 13, carriers + n), where only some points have a known future.
         generator : torch.Generator
             Generator of the random numbers.
         """
@@ -304,10 +305,14 @@ class Motion(nn.Module):
         error = ((places - future).square().sum(dim=-1) + 1e-6).sqrt()
         # The negative log-density of a Laplace distribution in three dimensions, up to a constant.
         unlikely = error / scales + 3 * (scales / UNIT).log()
-        distortion = (_distances(places) - _distances(future)).abs().mean(dim=-1)
+        distorted = (_distances(places) - _distances(future)).abs()
 
-        known = scene["known"].to(error)[..., None]
-        weight = known / (future.shape[2] * known.sum().clamp_min(1))
+        # Points whose future is not known count neither alone nor in a pair.
+        known = scene["known"].to(error)
+        if known.dim() == 2:
+            known = known[..., None].expand_as(error)
+        weight = known / known.sum().clamp_min(1)
+        distortion = (distorted * known[:, :, None]).sum(dim=-1) / known.sum(dim=-1, keepdim=True).clamp_min(1)
         parts = {
             "error": (weight * error).sum(),
             "unlikely": (weight * unlikely).sum(),

@@ -59,11 +59,22 @@ class Scenes(torch.utils.data.Dataset[dict[str, Tensor]]):
             episode = self.dataset[number]
             film = {name: getattr(episode, name) for name in ("points", "grippers", "actions", "held")}
             self._films[number] = film | target_of(episode.centre_line)
-        return scene_at(self._films[number], frame, np.random.default_rng((number, frame)), self.n_points)
+        rng = np.random.default_rng((number, frame))
+        return scene_at(self._films[number], frame, rng, self.n_points, self.asked(number, frame))
+
+    def asked(self, number: int, frame: int) -> NDArray[np.int64] | None:
+        """Return the vertices (16,) that a frame's window asks for, or None for vertices drawn at random."""
+        return None
 
 
-def scene_at(film: dict[str, Array], frame: int, rng: np.random.Generator, n_points: int = 160) -> dict[str, Tensor]:
-    """Return the window of a film whose present is that frame."""
+def scene_at(
+    film: dict[str, Array],
+    frame: int,
+    rng: np.random.Generator,
+    n_points: int = 160,
+    asked: NDArray[np.int64] | None = None,
+) -> dict[str, Tensor]:
+    """Return the window of a film whose present is that frame; `asked` (16,) are the vertices that it asks for."""
     points = film["points"]  # (T, n, 3)
     n = points.shape[1]
     last = len(points) - 1
@@ -73,7 +84,8 @@ def scene_at(film: dict[str, Array], frame: int, rng: np.random.Generator, n_poi
     if rng.random() < 0.5:
         n_past = int(rng.integers(n // 3, n))
     seen = np.resize(rng.permutation(n), n_points)
-    asked = np.resize(rng.permutation(n), ASKED)
+    if asked is None:
+        asked = np.resize(rng.permutation(n), ASKED)
     times = np.maximum(frame - np.array((0, *PAST)), 0)
     seen = seen[carriers_first(points[frame, seen])]
     past = [cKDTree(points[then, rng.permutation(n)[:n_past]]) for then in times[1:]]
