@@ -191,6 +191,8 @@ def test_track_takes_a_film(film, tmp_path, capsys):
     answer = answer_of(capsys, *arguments, "--out", tmp_path / "film.npz")
     assert answer["removed"]["not finite"] == 5 * 40
     assert answer["removed"]["by farthest points"] == 5 * 260
+    around = np.linalg.norm(np.diff(ring(4, 400), axis=0), axis=1).sum()
+    assert answer["apart"] == pytest.approx(around / 100, rel=0.4)  # a ring of 100 points
     assert [loop["frames"] for loop in answer["loops"]] == [5]
     states = load_states(tmp_path / "film.npz")
     assert [state.time for state in states] == pytest.approx([0, 0.1, 0.2, 0.3, 0.4])

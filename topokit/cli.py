@@ -371,6 +371,7 @@ def _track_clouds(
     from collections import Counter
 
     import numpy as np
+    from scipy.spatial import cKDTree
 
     from ._archive import FormatError
     from .evaluate import summarise_tracks
@@ -413,19 +414,29 @@ def _track_clouds(
         _plot_cloud(plot, *last)
     _write_states(out, states)
 
+    # How far the points of the last cloud are apart, in the median.
+    left, _ = last
+    apart = float(np.median(cKDTree(left).query(left, k=2)[0][:, 1])) if len(left) > 1 else None
+
     # There is no true loop to compare with.
     names = ("id", "first", "last", "frames", "lifetime")
     summaries = summarise_tracks(states, np.empty((len(states), 0, 3)), ())
     rows = [{name: getattr(summary, name) for name in names} for summary in summaries]
     if as_json:
-        answer = {"film": str(path), "removed": removed, "frames": len(states), "blind": blind, "tracks": _name_of(out)}
+        answer = {"film": str(path), "removed": removed, "apart": apart, "frames": len(states), "blind": blind}
+        answer["tracks"] = _name_of(out)
         print(json.dumps({**answer, "loops": rows}))
         return 0
     unseen = f", {blind} of them without a point" if blind else ""
-    _print(f"{path}: {len(states)} frames{unseen}")
+    _print(f"{path}: {len(states)} {'frame' if len(states) == 1 else 'frames'}{unseen}")
     print(
         "points removed per frame: " + ", ".join(f"{count / len(states):.0f} {step}" for step, count in removed.items())
     )
+    if apart is not None and removed["by farthest points"]:
+        print(
+            f"{len(left)} points are left, {100 * apart:.2g} cm apart: holes below about {300 * apart:.2g} cm are too small "
+            "to see (crop the clouds, or keep more points, in --pipeline)"
+        )
     print("  id  first  last  frames  lifetime")
     for row in rows:
         print(_row_of_track(row))
