@@ -132,14 +132,14 @@ def differences(shares: pd.DataFrame, films: int) -> dict[str, Any]:
     return found
 
 
-def lost(usual: pd.DataFrame, samples: pd.DataFrame) -> dict[str, Any]:
-    """Return for each measure how many points Motion and carry lose from the usual films to the films of some samples.
+def lost(samples: pd.DataFrame, others: pd.DataFrame) -> dict[str, Any]:
+    """Return for each measure how many points Motion and carry lose from the films of some samples to those of others.
 
     Films and training seeds of the two groups are drawn independently of each other.
     """
     names = ("motion", "carry")
-    before = shares_of(usual[usual["model"].isin(names)])
-    after = shares_of(samples[samples["model"].isin(names)], draws_seed=1)
+    before = shares_of(samples[samples["model"].isin(names)])
+    after = shares_of(others[others["model"].isin(names)], draws_seed=1)
     found = {}
     for measure in MEASURES:
         there, here = (shares[measure][0] for shares in (before, after))

@@ -114,8 +114,12 @@ class Experiment:
     @property
     def is_decided(self) -> bool:
         """Return whether all trainings that the claims are about have ended."""
-        wanted = [self.claimed(network) for network in self.protocol["networks"]]
+        wanted = [self.claimed(network) for network in self.protocol["networks"] if self.is_tested(network)]
         return all(set(seeds) <= self.ended(network, films).keys() for network, films, seeds in wanted)
+
+    def is_tested(self, network: str) -> bool:
+        """Return whether a network is asked about the test films; the others are measured on the validation films."""
+        return bool(self.protocol["networks"][network].get("tested", True))
 
     def claimed(self, network: str) -> tuple[str, int, list[int]]:
         """Return a network, and the number of films and the seeds of those of its trainings that the claims are about."""
@@ -335,14 +339,16 @@ class Experiment:
     def asked(self, part: str) -> list[Asked]:
         """Return the forecasters to ask; of the networks those trainings that have ended.
 
-        The learning curve is measured on the validation films. So it can be continued, and no test film is seen twice.
+        The learning curve is measured on the validation films, and so is what is not `tested`. So these can be continued, and no
+        test film is seen twice.
         """
         most = self.protocol["training_films"]
         names = ["seqph", *(f"seqph_{points}_points" for points in self.shown_points), "hold", "carry"]
         found = [Asked(name) for name in names]
         found += [Asked("blind", most), Asked("ridge", most)]
         for network, films, seeds in self.trainings:
-            if part != "validation" and films != self.claimed(network)[1]:
+            is_of_curve = films != self.claimed(network)[1]
+            if part != "validation" and (is_of_curve or not self.is_tested(network)):
                 continue
             for seed, training in sorted(self.ended(network, films).items()):
                 if seed in seeds:
@@ -452,8 +458,8 @@ class Experiment:
                     )
                     tables.append(table.assign(setting=setting, mesh=mesh, garments=garments))
                     claims[f"{garments}, {mesh} mesh"] = differences
-            if {"usual", "sizes"} <= whole.keys():
-                claims["usual films - films of other sizes"] = lost(whole["usual"], whole["sizes"])
+            if {"coarse", "sizes"} <= whole.keys():
+                claims["coarse films - films of other sizes"] = lost(whole["coarse"], whole["sizes"])
             if tables:
                 columns = [*KEYS, "share", "low", "high", "films", "windows"]
                 write_rows(out.with_name(f"{name}.csv"), pd.concat(tables)[columns], setting)
