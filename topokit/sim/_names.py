@@ -3,7 +3,8 @@
 A border low down and wide is a hem, and then the garment is a tube: a loop aside of it is for an arm, one on top for the neck.
 A tube of two wide borders is a skirt, of a waist and a hem. Two low borders side by side, and one on top, are those of trousers.
 A border that goes around another loop is the edge of the cloth. Of the rest, the loops of a flat cloth (an apron) are a neck
-at the top, a waist or holes; those of a bag are handles at the top, or straps. What is none of these is a "loop".
+at the top, a waist or holes; those of a bag are handles at the top, or straps. What is none of these is a "loop": a small tab, a
+ring, either end of a tube without a hem, a loop of two layers of which nobody knows whether they are an empty bag.
 """
 
 from __future__ import annotations
@@ -19,6 +20,9 @@ from ._surface import Array, Ids, border_cycles
 
 _TOP = 0.12  # of the height: a strap is at most as wide
 _TALL = 0.2  # of the height: a strap is taller
+_HEAD = 0.2  # of the width or of the height: a neck is larger, a tab to hang by is not
+_WHOLE = 0.9  # of the height: a loop that is taller is an end of a tube
+_THIN = 0.05  # of the width: what is not as deep may be a cloth of two layers or an empty bag
 _SLACK = np.array([0.05, 0.15, 0.05])  # by which a loop may stand out of the one around it
 # Of the largest extent: a level border rises less, and two that are twice as far apart are those of a skirt.
 _LEVEL = 0.07
@@ -58,14 +62,14 @@ def named(vertices: Array, faces: Ids, loops: Sequence[Ids]) -> tuple[str, ...]:
     fronts = [is_open_front(vertices, faces, loop) for loop in loops]
     if any(fronts):
         others = [loop for loop, front in zip(loops, fronts, strict=True) if not front]
-        rest = iter(numbered([_kind_on_tube(_box(vertices, loop)) for loop in others]))
+        rest = iter(numbered(_kinds_on_tube([_box(vertices, loop) for loop in others])))
         return numbered(["edge" if front else next(rest) for front in fronts])
     lower_body = None if flat else _kinds_of_skirt_or_trousers(boxes)
     if lower_body is not None:
         return numbered(lower_body)
     # A tube: hem, arms and neck.
     if not flat and any(_is_hem(box) for box in borders):
-        return numbered([_kind_on_tube(box) for box in boxes])
+        return numbered(_kinds_on_tube(boxes))
     # A border that goes around a clearly shorter loop is the edge of the cloth, in a flat cloth around any shorter loop; so is
     # the only border of the only loop.
     longer = 1.05 if flat else 1.3
@@ -155,13 +159,21 @@ def is_flat(vertices: Array, faces: Ids) -> bool:
     return not (apart and all(level))
 
 
-def _kind_on_tube(box: Array) -> str:
-    """Return the kind of a loop of a tube: hem, or arm when it lies aside, or neck."""
-    if _is_hem(box):
-        return "hem"
-    if np.linalg.norm(box[:, :2].mean(axis=0)) > 0.2:
-        return "arm"
-    return "neck"
+def _kinds_on_tube(boxes: Sequence[Array]) -> list[str]:
+    """Return the kinds of the loops of a tube: hem, or arm when it lies aside, or neck.
+
+    Of three openings at the top of a narrow garment, those left and right are for the arms.
+    """
+    kinds = []
+    for box in boxes:
+        aside = np.linalg.norm(box[:, :2].mean(axis=0)) > 0.2
+        kinds.append("hem" if _is_hem(box) else "arm" if aside else "neck")
+    necks = sorted((i for i, word in enumerate(kinds) if word == "neck"), key=lambda i: boxes[i][:, 0].mean())
+    if len(necks) > 1:
+        words = ["arm", "neck", "arm"] if len(necks) == 3 else ["loop"] * len(necks)
+        for i, word in zip(necks, words, strict=True):
+            kinds[i] = word
+    return kinds
 
 
 def _width_below(vertices: Array, box: Array) -> float:
@@ -176,14 +188,17 @@ def _kind(vertices: Array, box: Array, flat: bool, tops: int) -> str:
     """Return the kind of a loop of a garment that is no tube; `tops` is the number of loops that reach its top."""
     size = np.ptp(box, axis=0)
     at_top = box[1, 2] > 1 - _TOP
+    if at_top and _width_below(vertices, box) < 0.5 * size[0]:
+        return "loop"  # a ring or a noose
     if not flat:
+        width, depth, _ = np.ptp(vertices, axis=0)
+        if depth < _THIN * width or size[2] > _WHOLE:
+            return "loop"
         if abs(box[:, 0].mean()) > 0.15 and size[2] > _TALL:
             return "strap"
         return "handle" if at_top else "loop"
-    if at_top and _width_below(vertices, box) < 0.5 * size[0]:
-        return "loop"  # a ring or a noose
     if at_top and tops == 1:
-        return "neck"
+        return "neck" if size.max() > _HEAD else "loop"
     if at_top and size[2] > _TALL:
         return "strap"
     return "waist" if size[0] > 0.5 else "hole"
