@@ -75,6 +75,10 @@ def test_meshes_of_strangers():
     text = " ".join(USAGE.split())
     assert f"Of {len(results['meshes'])} files, {len(garments)} garments as other tools write them" in text
     assert f"{results['hangs']} hang at the end of the film, and {results['refused']} are refused" in text
+    film = record("strangers")
+    planned = record("strangers_hang")
+    assert len(film["meshes"]) == len(planned["meshes"]) == 30
+    assert f"{film['hangs']} of them hang, and the planner of the next section hangs {planned['hangs']} " in text
 
 
 def test_numbers_of_readme():

@@ -1,7 +1,8 @@
 """Hang strangers' garments, from a file to a film: book/results/garments.json.
 
     python book/experiments/garments.py --folder runs/bag --meshes FOLDER
-    python book/experiments/garments.py --folder runs/bag --bag strangers --command hang --out runs/strangers_hang.json
+    python book/experiments/garments.py --folder runs/strangers --bag strangers --out book/results/strangers.json
+    python book/experiments/garments.py --folder runs/hung --bag strangers --command hang --out book/results/strangers_hang.json
 
 Takes a film's simulation for each of 40 meshes; `--bag strangers` has the 30 of strangers.py instead, all of which can hang.
 
