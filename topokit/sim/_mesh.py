@@ -534,7 +534,7 @@ def _grips(vertices: Array, faces: Ids, kept: Ids, loops: Mapping[str, Ids], rep
     """
     x = vertices[:, 0]
     held = _outermost(vertices)
-    straps = [loop for name, loop in loops.items() if kind(name) in ("handle", "strap", "ear", "neck")]
+    straps = [loop for name, loop in loops.items() if kind(name) in ("handle", "strap", "ear", "neck", "loop")]
     if "hem" in loops and "neck" in loops:
         neck = loops["neck"]
         held = [int(neck[np.argmin(x[neck])]), int(neck[np.argmax(x[neck])])]
