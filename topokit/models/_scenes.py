@@ -63,7 +63,15 @@ class Scenes(torch.utils.data.Dataset[dict[str, Tensor]]):
         return scene_at(self._films[number], frame, rng, self.n_points, self.asked(number, frame))
 
     def asked(self, number: int, frame: int) -> NDArray[np.int64] | None:
-        """Return the vertices (16,) that a frame's window asks for, or None for vertices drawn at random."""
+        """Return the vertices (16,) that a window asks for, or None for vertices drawn at random, as here.
+
+        Parameters
+        ----------
+        number : int
+            Number of the episode.
+        frame : int
+            The window's present.
+        """
         return None
 
 
