@@ -201,9 +201,8 @@ def test_the_papers_experiment_goes_from_films_to_a_table_and_goes_on(tmp_path, 
 
 def test_a_loss_from_some_films_to_others_has_the_interval_of_both():
     rng = np.random.default_rng(0)
-    near = {"all but a tenth": 0.9, "half": 0.5}
     parts = []
-    for share in near.values():
+    for share in (0.9, 0.5):
         for name in ("motion", "carry"):
             hits = (rng.random(400) < share) if name == "motion" else np.zeros(400, bool)
             for step in HORIZONS:

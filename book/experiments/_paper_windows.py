@@ -17,6 +17,7 @@ from numpy.typing import NDArray
 from torch import Tensor
 from torch.utils.data import Dataset, default_collate
 
+from topokit.data import Dataset as Films
 from topokit.data import WindowDataset
 from topokit.models import Scenes, StateTensors
 from topokit.models._motion import CARRIERS, KNOTS
@@ -130,7 +131,9 @@ class LabelledScenes(Scenes):
     loop is still tracked. The futures of all other points are unknown.
     """
 
-    _tracks: dict[int, list[TopologicalState]] | None = None
+    def __init__(self, films: Films, episodes: Sequence[int]) -> None:
+        super().__init__(films, episodes)
+        self._tracks: dict[int, list[TopologicalState]] = {}
 
     def __getitem__(self, i: int) -> dict[str, Tensor]:
         scene = super().__getitem__(i)
@@ -158,8 +161,6 @@ class LabelledScenes(Scenes):
 
     def loops(self, number: int, frame: int) -> tuple[Loop, ...]:
         """Return the tracked loops of a frame, none after the film's end."""
-        if self._tracks is None:
-            self._tracks = {}
         if number not in self._tracks:
             self._tracks[number] = self.dataset.states(number, "full")
         states = self._tracks[number]

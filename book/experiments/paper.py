@@ -203,11 +203,14 @@ class Experiment:
         described = self.protocol["networks"].get(network, {"model": "motion"})  # a checkpoint of data_small
         return bool(described["model"] == "motion")
 
+    def is_told_loops(self, network: str) -> bool:
+        """Return whether a Motion learns how tracked loops moved, and not how vertices did."""
+        return bool(self.protocol["networks"].get(network, {}).get("labels", False))
+
     def seen_by(self, network: str, episodes: NDArray[np.int64]) -> Scenes | Remedied:
         """Return what a network sees of some films in its training."""
         if self.is_motion(network):
-            told_loops = self.protocol["networks"][network].get("labels", False)
-            kind = LabelledScenes if told_loops else Scenes
+            kind = LabelledScenes if self.is_told_loops(network) else Scenes
             return kind(Dataset(self.folder / "films"), episodes.tolist())
         return self.remedied(network, self.windows_of(episodes))
 
@@ -370,7 +373,9 @@ class Experiment:
             return of_windows(Predictor.load(self.ridge(asked.films)).model)
         predictor = Predictor.load(asked.checkpoint)
         if self.is_motion(asked.name):
-            exact = () if asked.name in ("motion_fast", "motion_labels") else HORIZONS
+            # A Motion that learnt how loops move cannot move a cloud.
+            is_fast = asked.name == "motion_fast" or self.is_told_loops(asked.name)
+            exact = () if is_fast else HORIZONS
             return turned(of_stream(predictor, windows, exact), 0)
         return self.remedied(asked.name, windows).forecaster(predictor.model)
 

@@ -19,7 +19,8 @@ from ._motion import CARRIERS, KNOTS, PAST, carried
 Array = NDArray[np.float32]
 ASKED = 16  # points of a cloud that are asked for
 TARGET = 16  # points of a target's line
-FIRST, AHEAD = 4, 20  # frames that a window has at least before the present one, and after it
+FIRST = 4  # frames that a window has at least before the present one
+AHEAD = 20  # and after it
 
 
 class Scenes(torch.utils.data.Dataset[dict[str, Tensor]]):
