@@ -522,6 +522,37 @@ def test_a_simulation_that_is_ended_leaves_no_temporary_file(tmp_path, number):
     assert not out.exists()
 
 
+ENDED = """
+import os, runpy, signal, sys
+
+made = os.mkdir
+
+def end_when_made(path, *arguments, **options):
+    made(path, *arguments, **options)
+    if "topokit-" in str(path):
+        os.kill(os.getpid(), signal.SIGTERM)
+
+os.mkdir = end_when_made
+runpy.run_module("topokit", run_name="__main__")
+"""
+
+
+@pytest.mark.skipif(os.name != "posix", reason="signals")
+def test_a_signal_leaves_no_folder_that_was_just_made(tmp_path):
+    pytest.importorskip("pybullet")
+    room, out = tmp_path / "room", tmp_path / "out"
+    room.mkdir()
+    done = subprocess.run(
+        [sys.executable, "-c", ENDED, "simulate", "--out", str(out / "e.npz")],
+        env={**os.environ, "TMPDIR": str(room)},
+        stderr=subprocess.PIPE,
+        text=True,
+        preexec_fn=hear_ctrl_c,
+    )
+    assert done.returncode == 128 + signal.SIGTERM, done.stderr
+    assert not list(room.iterdir())
+
+
 @pytest.mark.skipif(os.name != "posix", reason="signals")
 def test_a_half_written_file_is_taken_away(tmp_path):
     code = """

@@ -14,6 +14,8 @@ import math
 import os
 import re
 import secrets
+import shutil
+import tempfile
 import zipfile
 from collections.abc import Iterator
 from pathlib import Path
@@ -30,7 +32,7 @@ _MOST_ROWS = 2**20  # of an array without elements: a list of its empty rows wou
 _MOST_ARRAY_HEADER = 2**16  # bytes
 _URL = re.compile(r"[A-Za-z][A-Za-z0-9+.-]+:[/\\]")  # one letter alone is a disk of Windows
 _LOCAL_HEADER = b"PK\x03\x04"
-_unfinished: set[tuple[int, Path]] = set()  # files that are being written, each with the process that writes it
+_unfinished: set[tuple[int, Path]] = set()  # files and folders to be removed, each with the process that writes them
 
 
 class FormatError(ValueError):
@@ -238,8 +240,29 @@ def atomic_file(path: str | Path) -> Iterator[IO[bytes]]:
         _unfinished.discard((os.getpid(), temporary))
 
 
+@contextlib.contextmanager
+def temporary_folder() -> Iterator[Path]:
+    """Make a folder for temporary files, which is removed when the block ends.
+
+    Its name is noted before it is made. So a signal that comes between the two leaves nothing, as it would with the one of
+    `tempfile`.
+    """
+    folder = Path(tempfile.gettempdir(), f"topokit-{secrets.token_hex(8)}")
+    _unfinished.add((os.getpid(), folder))
+    try:
+        folder.mkdir(mode=0o700)
+        yield folder
+    finally:
+        shutil.rmtree(folder, ignore_errors=True)
+        _unfinished.discard((os.getpid(), folder))
+
+
 def remove_unfinished() -> None:
-    """Remove the files that this process is writing: it ends without any cleaning up."""
+    """Remove the files that this process is writing, and its temporary folders: it ends without any cleaning up."""
     for process, temporary in list(_unfinished):
-        if process == os.getpid():
+        if process != os.getpid():
+            continue
+        if temporary.is_dir():
+            shutil.rmtree(temporary, ignore_errors=True)
+        else:
             temporary.unlink(missing_ok=True)

@@ -24,6 +24,8 @@ from dataclasses import dataclass
 from multiprocessing.connection import Connection, wait
 from typing import Any
 
+from ._archive import temporary_folder
+
 _CONTEXT: Any = multiprocessing.get_context("forkserver" if hasattr(os, "fork") else "spawn")
 _THREADS = ("OMP_NUM_THREADS", "OPENBLAS_NUM_THREADS", "MKL_NUM_THREADS", "NUMBA_NUM_THREADS")
 _LONGEST_FOLDER = 70  # characters: the address of a fork server is a path of at most 107, with 33 of its own
@@ -63,14 +65,14 @@ def in_fresh_processes(
     """
     waiting = collections.deque((item, list[str]()) for item in items)
     running: dict[Connection, _Job] = {}
-    with tempfile.TemporaryDirectory(prefix="topokit-", ignore_cleanup_errors=True) as folder:
+    with temporary_folder() as folder:
         try:
             while waiting or running:
                 # Give every free worker an item.
                 while waiting and len(running) < n_workers:
                     item, failures = waiting.popleft()
                     ours, theirs = _CONTEXT.Pipe(duplex=False)
-                    arguments = (theirs, function, item, report is not None, folder)
+                    arguments = (theirs, function, item, report is not None, str(folder))
                     with deferred_signals():  # so that every process that was started is stopped
                         process = _started(_CONTEXT.Process(target=_perform, args=arguments), preload)
                         theirs.close()

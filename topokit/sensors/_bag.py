@@ -17,14 +17,13 @@ import re
 import sqlite3
 import struct
 import sys
-import tempfile
 import zlib
 from collections.abc import Callable, Collection, Iterator
 from dataclasses import dataclass
 from pathlib import Path
 from typing import IO, Any
 
-from topokit._archive import FormatError, existing
+from topokit._archive import FormatError, existing, temporary_folder
 from topokit._strangers import Budget
 
 from ._files import natural_order
@@ -100,10 +99,10 @@ def _files_of(folder: Path) -> list[Path]:
 @contextlib.contextmanager
 def _storage(path: Path) -> Iterator[_Mcap | _Ros1 | _Sqlite]:
     """Open a file of a bag; it is unpacked into a temporary folder first when it is packed as a whole."""
-    with tempfile.TemporaryDirectory(prefix="topokit-") as folder:
+    with temporary_folder() as folder:
         if path.suffix == ".zstd":
             budget = Budget(path.stat().st_size)
-            unpacked = Path(folder, path.stem)
+            unpacked = folder / path.stem
             with path.open("rb") as packed, unpacked.open("wb") as target:
                 stream = _zstd().open(packed, "rb")
                 while piece := stream.read(_PIECE):
