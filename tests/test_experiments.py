@@ -162,6 +162,7 @@ def test_a_model_is_not_tested_on_what_it_was_trained_on():
 def test_the_papers_experiment_goes_from_films_to_a_table_and_goes_on(tmp_path, monkeypatch):
     protocol = json.loads((EXPERIMENTS / "paper.json").read_text())
     protocol["films"]["validation"] = 3
+    protocol["networks"]["mlp_without_sheet"] = {"model": "mlp", "like": "mlp", "held_out": ["sheet"], "seeds": [0]}
     small = {
         "training_films": 3,
         "curve": {"films": [2], "networks": ["mlp"], "seed": 0},
@@ -184,14 +185,23 @@ def test_the_papers_experiment_goes_from_films_to_a_table_and_goes_on(tmp_path, 
     shutil.copytree(DATA / "dataset", tmp_path / "films")
     out = tmp_path / "paper.csv"
     arguments = ["--protocol", str(tmp_path / "little.json"), "--work", str(tmp_path), "--out", str(out)]
-    arguments += ["--networks", "mlp", "--stages", "trainings", "forecasts", "table"]
+    arguments += ["--networks", "mlp", "mlp_without_sheet", "--stages", "trainings", "forecasts", "table"]
     paper.main(arguments)
     table = pd.read_csv(tmp_path / "paper_validation.csv")
-    assert {"seqph", "hold", "carry", "blind", "ridge", "mlp", "motion"} == set(table["forecaster"])
+    assert {"seqph", "hold", "carry", "blind", "ridge", "mlp", "mlp_unknown", "motion"} == set(table["forecaster"])
     assert ((table["low"] <= table["share"] + 1e-4) & (table["share"] <= table["high"] + 1e-4)).mean() > 0.95
     mean = table[(table["seed"] == "all") & (table["measure"] == "marked1") & (table["horizon"] == "mean")]
     shares = mean.groupby("forecaster")["share"].max()
     assert shares["seqph"] > shares["hold"]
+
+    # A network that is trained without a garment sees none of its films, and is asked about them alone.
+    dataset = Dataset(tmp_path / "films")
+    (unknown,) = (tmp_path / "samples" / "validation" / "all").glob("mlp_without_sheet-*.csv")
+    assert set(pd.read_csv(unknown)["garment"]) == {"sheet"}
+    experiment = paper.Experiment(protocol | small, tmp_path, EXPERIMENTS, 1, "cpu", (3,), ("mlp",))
+    for films in experiment.training_films(3, ["sheet"]):
+        assert len(films)
+        assert "sheet" not in {dataset.record(number).garment for number in films.tolist()}
 
     # What is there is not made again.
     monkeypatch.setattr(paper, "train", None)

@@ -38,7 +38,7 @@ import pandas as pd
 import torch
 from _paper_tables import MEASURES, lost, table_of
 from _paper_windows import GIVEN, LabelledScenes, Remedied
-from forecasts import HORIZONS, Forecaster, measure, of_stream, of_windows, spread_windows, turned
+from forecasts import HORIZONS, Forecaster, kinds_of, measure, of_stream, of_windows, spread_windows, turned
 from numpy.typing import NDArray
 from tables import write_results
 
@@ -84,6 +84,12 @@ class Asked:
     films: int = 0  #: to train on; 0 where there are none of the experiment
     seed: int = 0
     checkpoint: Path | None = None  #: of a network or of Motion
+    garments: tuple[str, ...] = ()  #: those that it is asked about; all of them where none is named
+
+    @property
+    def row(self) -> str:
+        """Return the name that it has in the tables: those that were trained without some garments are one row of their kind."""
+        return f"{self.name.split('_')[0]}_unknown" if self.garments else self.name
 
     @property
     def file(self) -> str:
@@ -114,12 +120,24 @@ class Experiment:
     @property
     def is_decided(self) -> bool:
         """Return whether all trainings that the claims are about have ended."""
-        wanted = [self.claimed(network) for network in self.protocol["networks"] if self.is_tested(network)]
+        tests = self.protocol["tests"]
+        networks = self.protocol["networks"]
+        wanted = [self.claimed(name) for name in networks if any(self.is_tested(name, mesh) for mesh in tests)]
         return all(set(seeds) <= self.ended(network, films).keys() for network, films, seeds in wanted)
 
-    def is_tested(self, network: str) -> bool:
-        """Return whether a network is asked about the test films; the others are measured on the validation films."""
-        return bool(self.protocol["networks"][network].get("tested", True))
+    def is_tested(self, name: str, mesh: str) -> bool:
+        """Return whether a forecaster is asked about some test films. All are measured on the validation films.
+
+        Where the films do not say whom they ask, all are asked but the networks that are not `tested`.
+        """
+        described = self.protocol["tests"][mesh]
+        if "asked" in described:
+            return name in described["asked"]
+        return bool(self.protocol["networks"].get(name, {}).get("tested", True))
+
+    def held_out(self, network: str) -> tuple[str, ...]:
+        """Return the garments that a network is trained without."""
+        return tuple(self.protocol["networks"][network].get("held_out", ()))
 
     def claimed(self, network: str) -> tuple[str, int, list[int]]:
         """Return a network, and the number of films and the seeds of those of its trainings that the claims are about."""
@@ -152,7 +170,8 @@ class Experiment:
             folder = self.generate(described, described["episodes"], f"test_{mesh}").folder
             label_dataset(folder, n_workers=self.workers)
             for points in self.shown_points:
-                label_dataset(folder, "observed", n_points=points, n_workers=self.workers)
+                if self.is_tested(f"seqph_{points}_points", mesh):
+                    label_dataset(folder, "observed", n_points=points, n_workers=self.workers)
 
     @cached_property
     def shown_points(self) -> tuple[int, ...]:
@@ -166,9 +185,14 @@ class Experiment:
 
     # -------------------------------------------------------------------------------------------------------------- trainings
 
-    def training_films(self, films: int) -> tuple[NDArray[np.int64], NDArray[np.int64]]:
-        """Return the numbers of the films of a size, and of the validation films; sizes are nested."""
-        known = Dataset(self.folder / "films").labelled("full")
+    def training_films(self, films: int, held_out: Sequence[str] = ()) -> tuple[NDArray[np.int64], NDArray[np.int64]]:
+        """Return the numbers of the films of a size, and of the validation films; sizes are nested.
+
+        There are none of the garments that are held out.
+        """
+        dataset = Dataset(self.folder / "films")
+        known = dataset.labelled("full")
+        known = known[[dataset.record(number).garment not in held_out for number in known.tolist()]]
         first = self.protocol["films"]["validation"]
         chosen = known[known >= first][:films]
         if len(chosen) < films:
@@ -187,7 +211,7 @@ class Experiment:
         """Train a network, or go on with it, or return what it reached."""
         out = self.folder / "trainings" / f"{network}-{films}-{seed}-{rate:g}-{epochs}"
         if not (out / SUMMARY).exists():
-            chosen, validation = self.training_films(films)
+            chosen, validation = self.training_films(films, self.held_out(network))
             checksum = _checksum(self.folder / "films", chosen)
             config = self.training_config(network, seed, rate, epochs)
             parts = [self.seen_by(network, episodes) for episodes in (chosen, validation)]
@@ -351,15 +375,18 @@ class Experiment:
         found += [Asked("blind", most), Asked("ridge", most)]
         for network, films, seeds in self.trainings:
             is_of_curve = films != self.claimed(network)[1]
-            if part != "validation" and (is_of_curve or not self.is_tested(network)):
+            if part != "validation" and is_of_curve:
                 continue
             for seed, training in sorted(self.ended(network, films).items()):
                 if seed in seeds:
-                    found.append(Asked(network, films, seed, training.folder / "best.safetensors"))
+                    checkpoint = training.folder / "best.safetensors"
+                    found.append(Asked(network, films, seed, checkpoint, self.held_out(network)))
         for seed, checkpoint in enumerate(self.protocol["motion"]):
             for name in self.protocol.get("tiers", ["motion"]):
                 found.append(Asked(name, 0, seed, CHECKPOINTS / f"{checkpoint}.safetensors"))
-        return found
+        return [
+            asked for asked in found if part == "validation" or self.is_tested(asked.name, part.removeprefix("test_"))
+        ]
 
     def forecaster(self, asked: Asked, windows: WindowDataset) -> Forecaster:
         """Return a forecaster; seqPH is asked about the frame itself."""
@@ -396,12 +423,16 @@ class Experiment:
             numbers = [i for i in episodes.tolist() if dataset.record(i).garment in names]
             windows = WindowDataset(dataset, numbers, **options)
             most = self.protocol["windows"]["validation" if part == "validation" else "tests"]
-            rows = spread_windows(windows, math.ceil(most / len(names)))
-            clean = windows.select(rows)
+            of_all = spread_windows(windows, math.ceil(most / len(names)))
+            shown = kinds_of(windows, "garment")[of_all]
             for asked in self.asked(part):
                 path = self.folder / "samples" / part / garments / asked.file
                 if path.exists():
                     continue
+                rows = of_all[np.isin(shown, asked.garments or names)]
+                if not len(rows):
+                    continue
+                clean = windows.select(rows)
                 seen = clean
                 if asked.name.endswith("_points"):
                     points = int(asked.name.split("_")[1])
@@ -409,7 +440,7 @@ class Experiment:
                         continue  # of the validation films, which are among those to train on
                     same = WindowDataset(dataset, numbers, n_points=points, labels=f"observed-{points}")
                     seen = same.select(rows)
-                found = {asked.name: [self.forecaster(asked, clean)]}
+                found = {asked.row: [self.forecaster(asked, clean)]}
                 samples = measure(found, clean, seen, HORIZONS, 0, f"{part}, {garments}, {path.stem}")
                 save_samples(path, samples.assign(films=asked.films, seed=asked.seed))
 
