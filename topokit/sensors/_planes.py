@@ -33,6 +33,8 @@ _SURE = 3.0  # height of cloth, in deviations of the cells of the table
 _PATCH = 10.0  # least area of cloth, in squares of the plane's thickness
 _REACH = 1.5  # half the width of gaps in cloth that are closed, in thicknesses
 _HOLE = 4.0  # least area of a hole, in squares of the thickness
+_SPREAD = 3  # cells that smoothing spreads heights over
+_RIM = 4.0  # height of a cell of cloth at its border, in median deviations of the cells of the table
 _THIN = 0.25  # least height of cloth, in thicknesses, up to which cells alone tell a hole from cloth
 
 
@@ -123,11 +125,13 @@ def of_plane(points: Array, plane: Array, thickness: float, eye: Array) -> tuple
     grid = _Cells.of(places, on_plane[around], thickness)
     if grid is None:
         return on_plane, False
-    above, known = grid.smooth_heights(np.minimum(height[around], 2 * thickness))
-    above, deviation = _above_table(above, known, thickness)
-    cloth, doubtful = _cloth(above, known, thickness / grid.edge, min(_SURE * deviation, thickness), thickness)
+    own, smooth, known = grid.heights(np.minimum(height[around], 2 * thickness))
+    bend, deviation = _bend_of_table(smooth, known, thickness)
+    cloth, doubtful = _cloth(smooth - bend, known, thickness / grid.edge, min(_SURE * deviation, thickness), thickness)
+    cloth, least = _without_rim(cloth, own - bend, known, thickness)
     lies_on_it = np.zeros(len(points), bool)
-    lies_on_it[around] = cloth[grid.rows, grid.columns]
+    cells = grid.rows, grid.columns
+    lies_on_it[around] = cloth[cells] & (height[around] - bend[cells] >= least[cells])
     return on_plane & ~lies_on_it, doubtful
 
 
@@ -149,21 +153,22 @@ class _Cells:
         edge = thickness * max(np.sqrt(_A_CELL * taken / on_plane.sum()), 0.5)
         return None if edge > 2 * thickness else cls(places, edge)
 
-    def smooth_heights(self, height: Array) -> tuple[Array, Mask]:
-        """Return the mean heights of the cells, each together with the cells around it, and which cells hold points."""
+    def heights(self, height: Array) -> tuple[Array, Array, Mask]:
+        """Return the mean heights of the cells, alone and together with the cells around them, and which cells hold points."""
         from scipy.ndimage import gaussian_filter
 
         number = self.rows * self.shape[1] + self.columns
         size = int(np.prod(self.shape))
         count = np.bincount(number, minlength=size).reshape(self.shape)
         total = np.bincount(number, height, minlength=size).reshape(self.shape)
+        own = total / np.maximum(count, 1)
         weight = gaussian_filter(np.minimum(count, 1.0), 1.0)
-        mean = gaussian_filter(total / np.maximum(count, 1), 1.0)
-        return mean / np.maximum(weight, 1e-9), count > 0
+        smooth = gaussian_filter(own, 1.0) / np.maximum(weight, 1e-9)
+        return own, smooth, count > 0
 
 
-def _above_table(height: Array, known: Mask, thickness: float) -> tuple[Array, float]:
-    """Return the heights of cells above the surface of the table, and the deviation of the table's own cells.
+def _bend_of_table(height: Array, known: Mask, thickness: float) -> tuple[Array, float]:
+    """Return the height of the surface of the table in each cell, and the deviation of the table's own cells.
 
     Cameras see a flat table slightly bent. So the surface is quadratic.
     """
@@ -189,7 +194,7 @@ def _above_table(height: Array, known: Mask, thickness: float) -> tuple[Array, f
         table = np.abs(rest) <= 2 * deviation
         surface = _least_squares(system, values, table.astype(np.float64))
     bend = np.clip(terms @ surface, -thickness / 2, thickness / 2)
-    return height - bend, deviation
+    return bend, deviation
 
 
 def _least_squares(system: Array, values: Array, weights: Array) -> Array:
@@ -239,3 +244,26 @@ def _cloth(above: Array, known: Mask, scale: float, low: float, thickness: float
         if not hole:
             kept[box] |= part
     return kept, doubtful
+
+
+def _without_rim(cloth: Mask, own: Array, known: Mask, thickness: float) -> tuple[Mask, Array]:
+    """Return the cells of cloth without those of the table around it, and the least height of cloth in each cell.
+
+    Smoothing has spread the height of the cloth to the table beside it. The heights of cells alone tell, at the border of the
+    cloth only. A cell of the border may hold points of both.
+    """
+    from scipy.ndimage import binary_erosion, maximum_filter
+
+    least = np.full(cloth.shape, -np.inf)
+    table = own[known & ~cloth]
+    if not len(table):
+        return cloth, least
+    limit = np.median(table) + _RIM * float(np.median(np.abs(table - np.median(table))))
+    kept = cloth.copy()
+    for _ in range(_SPREAD):
+        border = kept & ~binary_erosion(kept, np.ones((3, 3)))
+        kept &= ~(border & (own < limit))
+    border = kept & ~binary_erosion(kept, np.ones((3, 3)))
+    highest = maximum_filter(np.where(kept, own, 0.0), 3)
+    least[border] = np.minimum(highest, thickness)[border] / 2
+    return kept, least
