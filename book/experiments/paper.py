@@ -494,8 +494,9 @@ class Experiment:
                     )
                     tables.append(table.assign(setting=setting, mesh=mesh, garments=garments))
                     claims[f"{garments}, {mesh} mesh"] = differences
-            if {"coarse", "sizes"} <= whole.keys():
-                claims["coarse films - films of other sizes"] = lost(whole["coarse"], whole["sizes"])
+            before, after = protocol.get("lost_between", ("", ""))
+            if {before, after} <= whole.keys():
+                claims[f"{before} films - {after} films"] = lost(whole[before], whole[after])
             if tables:
                 columns = [*KEYS, "share", "low", "high", "films", "windows"]
                 write_rows(out.with_name(f"{name}.csv"), pd.concat(tables)[columns], setting)
