@@ -124,6 +124,7 @@ def differences(shares: pd.DataFrame, films: int) -> dict[str, Any]:
     pairs = [(rival, other) for rival in rivals for other in ("seqph", SAME_POINTS, "hold", "carry", "blind")]
     pairs += [("pointnet", "mlp"), *(("motion", other) for other in models if other != "motion")]
     pairs += [("motion_whole", other) for other in models if other != "motion_whole"]
+    pairs += [("motion_unknown", "carry")]
     found = {}
     for one, other in pairs:
         if one not in models or other not in models:
