@@ -1,4 +1,4 @@
-"""The repository keeps its promises: versions in step, a light import, floors, licences, small files, clean notebooks."""
+"""The repository keeps its promises: versions in step, a light import, layers, licences, small files, clean notebooks."""
 
 from __future__ import annotations
 
@@ -130,7 +130,7 @@ def test_import_is_light_and_quiet():
 
 # Data flows downwards in this list; nothing imports from a line below its own. Underscored modules at the top of the
 # library are private to it, and all of it may use them.
-FLOORS = [
+LAYERS = [
     {
         "_strangers",
         "_validate",
@@ -177,11 +177,11 @@ def imports() -> list[tuple[str, tuple[str, ...], tuple[str, ...]]]:
     return found
 
 
-def test_modules_import_only_from_their_floor_or_below():
-    floor = {name: i for i, names in enumerate(FLOORS) for name in names}
+def test_modules_import_only_from_their_layer_or_an_earlier_one():
+    layer = {name: i for i, names in enumerate(LAYERS) for name in names}
     for path, parts, target in imports():
         if parts != ("__init__",) and target[0] != "__version__":
-            assert floor[target[0]] <= floor[parts[0]], f"{path} imports topokit.{target[0]}, of a later floor"
+            assert layer[target[0]] <= layer[parts[0]], f"{path} imports topokit.{target[0]}, of a later layer"
 
 
 def test_no_package_imports_another_packages_private_module():

@@ -548,7 +548,7 @@ def tables(results: dict[str, Any]) -> str:
     text = [
         f"The first table has all twenty conditions together, on {films} of the 63 films. The options of the libraries were",
         f"chosen on {tuned} other films. Brackets hold 95 % intervals over films. The last column is the time for a frame of",
-        "500 points beside its persistence.",
+        "500 points, without persistence.",
         "",
         "| tracker | IDF1 | HOTA | MOTA | switches | ms |",
         "|---|---|---|---|---|---|",
@@ -561,10 +561,10 @@ def tables(results: dict[str, Any]) -> str:
         text.append(f"| {label} | {' | '.join(cells)} |")
     text += [
         "",
-        "The second table compares seqPH with the stranger that is best in a condition, by each of two measures; and with the",
-        "best of those that get the loops of seqPH.",
+        "The second table has a row for each condition. It compares seqPH with the best library on other bars, and with the",
+        "best library on the loops of seqPH, by two measures.",
         "",
-        "| condition | IDF1: seqPH | best stranger | given its loops | HOTA: seqPH | best stranger | given its loops |",
+        "| condition | IDF1: seqPH | best library | on its loops | HOTA: seqPH | best library | on its loops |",
         "|---|---|---|---|---|---|---|",
     ]
     for condition, of in results["against_strangers"].items():
