@@ -181,7 +181,7 @@ def test_many_plans_are_the_single_ones(window, stream, name):
         single = predictor.predict(plans[i], held[i])
         assert np.allclose(many.plan(i).corners, single.corners, atol=1e-5)
         assert np.allclose(many.plan(i).presence, single.presence, atol=1e-5)
-    with pytest.raises(IndexError):
+    with pytest.raises(TypeError, match="many plans"):
         many[0]
     with pytest.raises(IndexError):
         single.plan(0)

@@ -28,9 +28,16 @@ Positive = Annotated[float, Field(gt=0)]
 
 def as_tuple(values: Any) -> Any:
     """Return lists and arrays as tuples, since configurations do not change; leave anything else as it is."""
-    if isinstance(values, (np.ndarray, list)):
-        return tuple(np.asarray(values).tolist())
-    return values
+    if isinstance(values, np.ndarray):
+        values = values.tolist()
+    if isinstance(values, (tuple, list)):
+        return tuple(as_tuple(value) for value in values)
+    return _plain(values)
+
+
+def _plain(value: Any) -> Any:
+    """Return a number of NumPy as one of Python."""
+    return value.item() if isinstance(value, np.generic) else value
 
 
 Place = Annotated[tuple[float, float, float], BeforeValidator(as_tuple)]
@@ -44,7 +51,7 @@ def checked(kind: type[T]) -> type[T]:
 
     def __init__(self: Any, *arguments: Any, **values: Any) -> None:
         try:
-            start(self, *arguments, **values)
+            start(self, *map(_plain, arguments), **{name: _plain(value) for name, value in values.items()})
         except ValidationError as error:
             raise ValueError(_first_fault(error, kind)) from error
 

@@ -1,7 +1,8 @@
 """Episodes and tracked states on disk: one compressed `.npz` each, with a JSON header and without pickle.
 
 Positions of an episode are stored as whole ticks of 0.1 mm, so reading costs at most 0.05 mm. Along time they are stored as
-differences, which are small and compress well: ``np.cumsum(archive["points"], axis=0) / 10_000`` are the vertices in metres.
+differences, which are small and compress well. With ``a = archive["points"]`` the vertices in metres are
+``np.cumsum(a, axis=0, dtype=a.dtype) / 10_000``: the type matters, because differences may wrap around.
 States are stored to the last bit. Every text and number that is no array is in the header.
 
 Source: the paper's section 6 defines the contents of an episode; the format is ours. Taught in chapters 0 and 11.
@@ -355,6 +356,13 @@ def save_states(path: str | Path, states: Sequence[TopologicalState]) -> Path:
         Name of the file, which ends in .npz.
     states : sequence of TopologicalState
         States to store. The cycles of their loops are computed and stored with them.
+
+    Raises
+    ------
+    ValueError
+        When the name does not end in .npz.
+    LookupError
+        When a loop has no cycle, because it was not tracked.
     """
     # The loops of all states are stored one after another, a row each.
     loops = [loop for state in states for loop in state.loops]

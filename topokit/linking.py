@@ -45,8 +45,8 @@ def curve_centroid(curve: Array) -> Array:
 def linking_number(curve_a: ArrayLike, curve_b: ArrayLike) -> int:
     """Return the linking number of two disjoint closed polygonal curves.
 
-    It is 1 where one curve goes once through the other, towards an eye for which that other runs counterclockwise. Its sign
-    changes when one curve is reversed, and not when the two are exchanged.
+    Look at `curve_a` from the side on which it runs counterclockwise. The number is 1 if `curve_b` passes once through it towards
+    you, and -1 if away from you. Its sign changes when one curve is reversed, and not when the two are exchanged.
 
     Parameters
     ----------

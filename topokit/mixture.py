@@ -84,6 +84,15 @@ class LoopMixture:
     weights: Array  #: (m,) weights of the components, which sum to one
 
     def __post_init__(self) -> None:
+        for name, value in vars(self).items():
+            object.__setattr__(self, name, as_reals(value, name).astype(np.float64))
+        shape = np.shape(self.means)
+        shapes = [array.shape for array in (self.means, self.covariances, self.weights)]
+        if len(shape) != 2 or shapes != [shape, (*shape, shape[1]), shape[:1]]:
+            needed = "means (m, d), covariances (m, d, d) and weights (m,)"
+            raise ValueError(f"a mixture needs {needed}, not {', '.join(map(str, shapes))}")
+        if not (self.weights >= 0).all() or not np.isclose(self.weights.sum(), 1):
+            raise ValueError(f"the weights of a mixture are not negative and sum to 1, not {self.weights.tolist()}")
         own_arrays(self)
 
     def __repr__(self) -> str:
@@ -135,24 +144,30 @@ class LoopMixture:
         Raises
         ------
         ValueError
-            When `x` is neither a point nor a list of points of the mixture's dimension.
+            When `x` is neither a point nor a list of points of the mixture's dimension, or has a NaN or infinite coordinate.
         """
         points = as_reals(x, "x").astype(np.float64)
         d = self.means.shape[1]
         if points.ndim not in (1, 2) or points.shape[-1] != d:
             raise ValueError(f"x must be a ({d},) point or (n, {d}) points, not an array of shape {points.shape}")
+        finite = np.isfinite(np.atleast_2d(points)).all(axis=1)
+        if not finite.all():
+            raise ValueError(f"x must be finite, but row {np.flatnonzero(~finite)[0]} has a NaN or infinite coordinate")
 
         # Whiten the offsets: solve (Cholesky factor) @ white = offset. Then |white|^2 is the squared Mahalanobis distance.
         factor = np.linalg.cholesky(self.covariances)  # (m, d, d)
         offsets = np.atleast_2d(points)[:, None] - self.means  # (n, m, d)
         white = np.linalg.solve(factor, offsets.transpose(1, 2, 0))  # (m, d, n)
         log_norm = np.log(np.einsum("mii->mi", factor)).sum(axis=1) + d / 2 * np.log(2 * np.pi)  # (m,)
-        with np.errstate(divide="ignore"):  # log 0 = -inf: a component of weight 0 adds nothing
+        # log 0 = -inf: a component of weight 0 adds nothing. Far away the squares overflow, and every term is -inf.
+        with np.errstate(divide="ignore", over="ignore"):
             terms = np.log(self.weights) - log_norm - (white**2).sum(axis=1).T / 2  # (n, m)
 
         # Sum over the components (log-sum-exp). The largest term is taken out first, so that nothing underflows.
         largest = terms.max(axis=1, keepdims=True)
-        log_density = largest[:, 0] + np.log(np.exp(terms - largest).sum(axis=1))
+        taken_out = np.where(np.isfinite(largest), largest, 0.0)
+        with np.errstate(divide="ignore"):
+            log_density = taken_out[:, 0] + np.log(np.exp(terms - taken_out).sum(axis=1))
         if points.ndim == 1:
             return np.asarray(log_density[0])
         return np.asarray(log_density)

@@ -12,7 +12,7 @@ from typing import TYPE_CHECKING
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from ._validate import Array, Ids, as_points, positive, whole
+from ._validate import Array, Ids, as_points, as_reals, positive, whole
 
 if TYPE_CHECKING:
     from scipy.spatial import cKDTree
@@ -52,6 +52,8 @@ def farthest_point_sample(points: ArrayLike, n: int, start: int | None = 0) -> t
     (array([0, 3]), 2.0)
     """
     array = _measurable(points, "points")
+    if not len(array):
+        raise ValueError("points is empty: there is nothing to choose from")
     n = whole(n, "n", 1, len(array))
     if start is None:
         from_mean = array - array.mean(axis=0)
@@ -128,6 +130,11 @@ def hausdorff(a: ArrayLike | cKDTree, b: ArrayLike | cKDTree) -> float:
     a, b : (n, d), (m, d) array_like
         Point sets with at least one point each, or trees of them.
 
+    Raises
+    ------
+    ValueError
+        When a set is empty or no point cloud, or their dimensions differ.
+
     Examples
     --------
     >>> hausdorff([[0.0, 0.0], [1.0, 0.0]], [[0.0, 0.0], [1.0, 2.0]])
@@ -135,6 +142,10 @@ def hausdorff(a: ArrayLike | cKDTree, b: ArrayLike | cKDTree) -> float:
     """
     tree_a = as_tree(a, "a")
     tree_b = as_tree(b, "b")
+    if not tree_a.n or not tree_b.n:
+        raise ValueError("a and b need at least one point each")
+    if tree_a.m != tree_b.m:
+        raise ValueError(f"a has {tree_a.m} dimensions, and b has {tree_b.m}")
     return max(covering_radius(tree_a.data, tree_b), covering_radius(tree_b.data, tree_a))
 
 
@@ -242,7 +253,8 @@ def inliers_and_tree(tree: cKDTree, neighbours: int = 5, factor: float = 2.5) ->
 def spacing(points: ArrayLike | cKDTree) -> float:
     """Return half the largest distance from a point to its nearest other one; repeated points count once.
 
-    No smaller covering radius is possible if every connected piece of the scene holds two of them. A tree is accepted too.
+    If every connected piece of the scene contains at least two of the points, the covering radius cannot be smaller. A tree is
+    accepted, too.
 
     Raises
     ------
@@ -269,27 +281,41 @@ def spacing(points: ArrayLike | cKDTree) -> float:
 
 def spoil(
     clouds: NDArray[np.floating],
-    rng: np.random.Generator,
+    rng: np.random.Generator | int,
     *,
     noise: ArrayLike = 0.0,
     outliers: ArrayLike = 0.0,
     keep: ArrayLike = 1.0,
 ) -> Array:
-    """Return clouds with missing points, noise and outliers, drawn for every cloud separately.
+    """Return clouds (..., P, 3) float64 with missing points, noise and outliers, drawn for every cloud separately.
 
     Parameters
     ----------
     clouds : (..., P, 3) array
-    rng : numpy.random.Generator
+    rng : numpy.random.Generator or int
+        A generator or the seed of one.
     noise : float or array that broadcasts to the leading axes of `clouds`
         Standard deviation of each coordinate, metres.
     outliers : float or such an array
         Share of the points that are anywhere in the cloud's box, which is grown by 10 cm on each side.
     keep : float or such an array
         Share of the points that are kept, at least one. They come first, in the order in which they were; repeats of them, in
-        their order, replace the others.
+        their order, replace the others. Both shares are rounded to whole points.
+
+    Raises
+    ------
+    ValueError
+        When a coordinate is not finite, a share is not from 0 to 1, or the noise is negative.
     """
-    clouds = np.asarray(clouds, dtype=np.float64)
+    rng = np.random.default_rng(rng)
+    clouds = as_reals(clouds, "clouds").astype(np.float64)
+    if clouds.ndim < 2 or not np.isfinite(clouds).all():
+        raise ValueError(f"clouds must be finite and of shape (..., P, 3); theirs is {clouds.shape}")
+    for name, values, most in (("noise", noise, np.inf), ("outliers", outliers, 1.0), ("keep", keep, 1.0)):
+        numbers = as_reals(values, name)
+        if not ((numbers >= 0) & (numbers <= most) & np.isfinite(numbers)).all():
+            bound = "0 or more" if most == np.inf else "from 0 to 1"
+            raise ValueError(f"{name} must be finite and {bound}, not {np.asarray(values).tolist()!s:.80}")
     n_points = clouds.shape[-2]
     noise, outliers, keep = [np.broadcast_to(one, clouds.shape[:-2])[..., None] for one in (noise, outliers, keep)]
     places = np.broadcast_to(np.arange(n_points), clouds.shape[:-1])

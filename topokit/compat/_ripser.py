@@ -13,7 +13,7 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from topokit._validate import Array, as_points, as_reals, positive, whole
-from topokit.rips import Diagram, rips_persistence
+from topokit.rips import Diagram, rips_persistence, rips_persistence_many
 
 
 def ripser(
@@ -104,7 +104,8 @@ def ripser(
     if distance_matrix or metric != "euclidean":
         diagram = rips_persistence(distances, metric="precomputed", max_radius=min(thresh, longest) / 2)
     else:
-        diagram = rips_persistence(as_points(X)[index], max_radius=thresh / 2)
+        # `rips_persistence` would ask once more whether the points are a matrix of distances.
+        (diagram,) = rips_persistence_many([as_points(X)[index]], max_radius=thresh / 2)
 
     # Ripser lists late births first, and counts edges in float32 up to the enclosing radius, beyond which nothing dies.
     rows = np.argsort(-diagram.birth, kind="stable")

@@ -54,9 +54,12 @@ class MotionForecaster(Protocol):
 class Carried:
     """The forecaster for which cloth goes with the grippers as a rigid body: with their middle, and about the vertical."""
 
+    def __init__(self) -> None:
+        self.reset()
+
     def reset(self) -> None:
         """Forget everything observed."""
-        self._grippers = np.zeros((2, 3))
+        self._grippers: Array | None = None
 
     def observe(
         self, points: ArrayLike, grippers: ArrayLike, held: bool = True, target: ArrayLike | None = None
@@ -83,7 +86,14 @@ class Carried:
         held : (C, 60) array_like of bool, optional
         points : (n, 3) array_like
             Their present places.
+
+        Raises
+        ------
+        RuntimeError
+            When nothing was observed yet.
         """
+        if self._grippers is None:
+            raise RuntimeError("nothing was observed yet: call observe(points, grippers) first")
         planned = np.asarray(actions, np.float64)
         yaws = _heading(planned) - _heading(self._grippers)
         middle = planned.mean(axis=-2)[..., None, :]

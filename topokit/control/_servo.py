@@ -88,11 +88,25 @@ class Controller(ABC):
 
     @abstractmethod
     def reset(self, observation: Mapping[str, Any]) -> None:
-        """Forget everything, and begin with a first observation of `topokit.sim.HangEnv`."""
+        """Forget everything, and begin with a first observation.
+
+        Parameters
+        ----------
+        observation : mapping
+            An observation of `topokit.sim.HangEnv`, or of a robot, in one frame of reference with z up, in metres: `points`
+            (n, 3) of the garment; `grippers` (2, 3); `target` (K, 3), its centre line from the floor to the tip; `held`, 1
+            until the grippers let go; and for a mannequin `rods` (R, 7), capsules as start, end and radius.
+        """
 
     @abstractmethod
     def act(self, observation: Mapping[str, Any]) -> NDArray[np.float32]:
-        """Return the next action (7,) for `topokit.sim.HangEnv`."""
+        """Return the next action (7,): a share of `max_step` along each axis for both grippers; above 0.5 the last lets go.
+
+        Parameters
+        ----------
+        observation : mapping
+            As for `reset`.
+        """
 
 
 class Servo(Controller):
@@ -153,6 +167,7 @@ class Servo(Controller):
 
     def act(self, observation: Mapping[str, Any]) -> NDArray[np.float32]:
         """Return the next action; nothing moves once there is a `reason` to give up."""
+        self._check_begun()
         points = np.asarray(observation["points"], np.float64)
         grippers = np.asarray(observation["grippers"], np.float64)
         line = np.asarray(observation["target"], np.float64)
@@ -182,7 +197,13 @@ class Servo(Controller):
     @property
     def goals(self) -> Array:
         """Return the places (2, 3) to which the last action moves the grippers, metres; a robot is sent there."""
+        self._check_begun()
         return self._goals.copy()
+
+    def _check_begun(self) -> None:
+        """Raise RuntimeError before the first `reset`."""
+        if not hasattr(self, "_goals"):
+            raise RuntimeError("no observation yet: call reset(observation) first")
 
     def _follow(self, points: Array, grippers: Array, line: Array) -> None:
         """Take in a frame: the age of its cloud, the loops of a new cloud, and the motion of the target."""

@@ -40,6 +40,11 @@ def check_dataset(folder: str | Path, *, progress: bool = False) -> list[Problem
     folder : path
     progress : bool
         Show a bar on stderr.
+
+    Raises
+    ------
+    FileNotFoundError
+        When there is no such dataset.
     """
     dataset = Dataset(folder)
     problems = [*_strangers(dataset, {ABOUT, "labels"}, dataset.wanted, "")]

@@ -65,6 +65,8 @@ def label_dataset(
     ------
     ValueError
         When there is no such observation, or labels of that name were begun with other options.
+    FileNotFoundError
+        When there is no such dataset.
     """
     dataset = Dataset(folder)
     settings = _settings(dataset, observation, n_points, options or {})

@@ -147,6 +147,13 @@ class WindowDataset(torch.utils.data.Dataset[dict[str, torch.Tensor]]):
         Function that replaces the clouds of an episode: from its number and its clouds, (T, P, 3) float64, to clouds
         (T, P', 3), in metres. All states, past and future, are then tracked by seqPH on the new clouds, from the first
         frame on, as for labels. The labels then only determine the list of episodes.
+
+    Raises
+    ------
+    ValueError
+        When a number is not a whole one above 0, the labels are missing, or the index alone would take more than `memory`.
+    FileNotFoundError
+        When there is no such dataset.
     """
 
     def __init__(
@@ -165,9 +172,7 @@ class WindowDataset(torch.utils.data.Dataset[dict[str, torch.Tensor]]):
         observe: Callable[[int, NDArray[np.float64]], NDArray[np.float64]] | None = None,
     ) -> None:
         sizes = {"history": history, "horizon": horizon, "n_points": n_points, "slots": slots, "stride": stride}
-        for name, value in sizes.items():
-            if type(value) is not int or value < 1:
-                raise ValueError(f"{name} must be a whole number, at least 1, not {value!r}")
+        history, horizon, n_points, slots, stride = (whole(value, name, 1) for name, value in sizes.items())
         self.dataset = dataset if isinstance(dataset, Dataset) else Dataset(dataset)
         self.labels = labels
         self.observe = observe

@@ -8,13 +8,14 @@ TrackEval, to which the tests hold every number. Taught in chapter 8.
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Sequence
+from collections.abc import Iterable, Iterator, Sequence
 from dataclasses import dataclass, fields
 from typing import Literal
 
 import numpy as np
 from numpy.typing import NDArray
 
+from topokit._validate import positive
 from topokit.seqph import assign
 
 Array = NDArray[np.float64]
@@ -109,16 +110,23 @@ class TrackingScore:
         return self.level_association / np.maximum(self.level_matches, 1)
 
 
-def score(overlaps: Sequence[Overlap], threshold: float = THRESHOLD) -> TrackingScore:
-    """Score a sequence; scores of several sequences can be added.
+def score(overlaps: Iterable[Overlap], threshold: float = THRESHOLD) -> TrackingScore:
+    """Score a sequence; scores of several sequences can be added. Without any object MOTA and IDF1 are nan, and HOTA is 0.
 
     Parameters
     ----------
-    overlaps : sequence of Overlap
+    overlaps : iterable of Overlap
     threshold : float
-        Least similarity of a match for MOTA, IDF1, switches and fragments. HOTA is averaged over nineteen.
+        Least similarity of a match for MOTA, IDF1, switches and fragments, above 0 and at most 1. HOTA is averaged over nineteen.
+
+    Raises
+    ------
+    ValueError
+        When the threshold is not between 0 and 1.
     """
-    overlaps, shape = _numbered(overlaps)
+    if not 0 < positive(threshold, "threshold") <= 1:
+        raise ValueError(f"threshold must be above 0 and at most 1, not {threshold}")
+    overlaps, shape = _numbered(list(overlaps))
     kinds = [event.kind for event in events(overlaps, threshold)]
 
     # IDF1 gives every object one identity for good: the pairs that have most frames in common.

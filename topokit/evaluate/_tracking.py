@@ -16,7 +16,7 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from topokit._validate import Array, Ids, as_points
+from topokit._validate import Array, Ids, as_points, as_reals, positive
 from topokit.linking import curve_centroid, side_lengths
 from topokit.rips import rips_persistence
 from topokit.sampling import spacing
@@ -26,7 +26,7 @@ from ._scores import THRESHOLD, Overlap, greatest
 
 
 def distance_to_hull(point: ArrayLike, points: ArrayLike) -> float:
-    """Return how far `point` is from the convex hull of `points`; zero inside, to rounding.
+    """Return how far `point` is from the convex hull of `points`, in their unit; zero inside, to rounding.
 
     Flat hulls are no special case: this is the nearest point among all convex combinations, a non-negative least-squares
     problem, not a search among facets.
@@ -34,10 +34,22 @@ def distance_to_hull(point: ArrayLike, points: ArrayLike) -> float:
     Parameters
     ----------
     point, points : (d,) and (n, d) array_like
+
+    Raises
+    ------
+    ValueError
+        When `point` is not one finite point, `points` is empty or no point cloud, or their dimensions differ.
     """
     from scipy.optimize import nnls
 
-    offsets = as_points(points) - np.asarray(point, dtype=np.float64)
+    corners = as_points(points)
+    place = as_reals(point, "point").astype(np.float64)
+    if not len(corners) or place.shape != corners.shape[1:] or not np.isfinite(place).all():
+        raise ValueError(
+            f"point must be finite and of shape (d,), and points (n, d) with n of 1 or more; "
+            f"they are {place.tolist()!s:.80} and of shape {corners.shape}"
+        )
+    offsets = corners - place
     scale = float(np.abs(offsets).max(initial=0.0))
     if scale == 0.0:
         return 0.0
@@ -110,7 +122,7 @@ def _nearest_loop(
     centres: Array, points: NDArray[np.floating], loops: Sequence[NDArray[np.integer]]
 ) -> tuple[int, float, float]:
     """Return which true loop is nearest to the centres, its mean distance, and the share of the centres in its hull."""
-    if not loops:
+    if not len(loops):
         return -1, float("nan"), float("nan")
     distances = [np.linalg.norm(points[:, loop].mean(axis=1) - centres, axis=1).mean() for loop in loops]
     nearest = int(np.argmin(distances))
@@ -142,8 +154,16 @@ def true_loops(
     loops : sequence of (L,) int arrays
         Closed cycles of vertex ids.
     alpha : float, optional
-        How long the class of a loop must live to count; for each frame what `SeqPH` estimates when not given.
+        How long the class of a loop must live to count. When not given, for each frame `topokit.sampling.spacing` of its
+        vertices, as `SeqPH(loops="alpha")` has it; the default tracker estimates a smaller alpha.
+
+    Raises
+    ------
+    ValueError, TypeError
+        When a frame is no point cloud, or a loop is not a sequence of its vertex ids; `alpha` must not be negative.
     """
+    if alpha is not None:
+        alpha = positive(alpha, "alpha")
     return [_true_loops(as_points(cloud, f"frame {frame}"), loops, alpha) for frame, cloud in enumerate(points)]
 
 

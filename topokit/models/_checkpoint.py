@@ -56,9 +56,9 @@ def build(
     shape : Shape, optional
     normalisation : Normalisation, optional
     options : mapping, optional
-        For "blind" the `height`; for "ridge" the `penalty` on squared coefficients; for "mlp" and "pointnet" the `hidden` units
-        and `skip`; for "mlp" also how many `points` of a cloud it reads, for "pointnet" the `units` that all points share; for
-        "motion" the `width` of codes.
+        For "blind" the `height`; for "ridge" the `penalty` on squared coefficients; for "mlp" and "pointnet" `skip`, and the
+        `hidden` units of each layer, such as (512, 256); for "mlp" also how many `points` of a cloud it reads, for "pointnet" the
+        `units` of each layer that all points share; for "motion" the `width` of codes.
 
     Raises
     ------

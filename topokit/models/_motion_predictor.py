@@ -49,6 +49,8 @@ class MotionPredictor(Predictor):
         self._loops: tuple[Loop, ...] = ()
         self._untracked: deque[NDArray[np.float64]] = deque(maxlen=_UNTRACKED)
         self._codes: dict[bytes, Codes] = {}
+        self._last_frame: Frame | None = None  # the last cloud, which the next one has to follow
+        self._number = 0
 
     def _take(self, cloud: NDArray[np.float64], grippers: Any, held: bool, target: Any) -> None:
         place = as_grippers(grippers)
@@ -57,7 +59,13 @@ class MotionPredictor(Predictor):
             if line.shape[1] != 3:
                 raise ValueError(f"target must be an (L, 3) array, not of shape {line.shape}")
             self._target = line
-        self._clouds.append(cKDTree(cloud))
+        tree = cKDTree(cloud)
+        frame = Frame.without_outliers(tree)
+        if self._last_frame is not None:
+            frame.check_follows(self._last_frame, self._number)
+        self._last_frame = frame
+        self._number += 1
+        self._clouds.append(tree)
         self._untracked.append(cloud)
         self._hands.append(place)
         self._held = held

@@ -127,7 +127,11 @@ class PointNet(MLP):
 
 def _check_units(name: str, units: Sequence[int]) -> None:
     """Refuse numbers of units that no network has."""
-    if not 1 <= len(units) <= 32 or not all(type(n) is int and 1 <= n <= 100_000 for n in units):
+    if (
+        not isinstance(units, Sequence)
+        or not 1 <= len(units) <= 32
+        or not all(type(n) is int and 1 <= n <= 100_000 for n in units)
+    ):
         raise ValueError(f"{name} must be numbers of units, 1 to 32 of them, each 1 to 100,000, not {units!r:.80}")
 
 

@@ -136,7 +136,9 @@ class Forecast:
     def __getitem__(self, step: int) -> tuple[PredictedLoop, ...]:
         """Return the loops of a step that are more likely present than not, longest lifetime first; step 0 is the next frame."""
         if self.birth.ndim > 2:
-            raise IndexError("this is a forecast of many plans: choose one first, forecast.plan(i)[step]")
+            raise TypeError("this is a forecast of many plans: choose one first, forecast.plan(i)[step]")
+        if isinstance(step, slice):
+            raise TypeError("a forecast has no slices: give one step, forecast[step]")
         longest = np.argsort(-self.lifetime[step], kind="stable")
         return tuple(self._loop(step, int(slot)) for slot in longest if self.presence[step, slot] > 0.5)
 
@@ -163,12 +165,15 @@ class Predictor:
 
     Parameters
     ----------
-    model : PredictiveModel or Motion
+    model : PredictiveModel
+        For a `Motion` use `MotionPredictor`, or `Predictor.load`, which chooses.
     description : mapping, optional
         The description in the model's checkpoint.
     """
 
     def __init__(self, model: Model, description: Mapping[str, Any] | None = None) -> None:
+        if isinstance(model, Motion) and type(self) is Predictor:
+            raise TypeError("a Motion needs a MotionPredictor; Predictor.load chooses")
         self.model: Any = model.eval()
         self.description = dict(description or {})
         self.reset()
@@ -214,7 +219,8 @@ class Predictor:
         Raises
         ------
         ValueError
-            When an array has another shape or holds a value that is not finite, or the model needs the grippers.
+            When an array has another shape or holds a value that is not finite, the model needs the grippers, or the cloud
+            seems to be in another unit than the one before. The frame is then not taken in.
         """
         self._take(as_cloud(points), grippers, bool(held), target)
 
@@ -300,7 +306,6 @@ def as_grippers(grippers: ArrayLike | None) -> NDArray[np.float64]:
     """Return the places (2, 3) of the grippers, checked and copied."""
     if grippers is None:
         raise ValueError("this model needs the places of the grippers: observe(points, grippers)")
-    place = as_points(grippers, "grippers", copy=True)
-    if place.shape != (2, 3):
-        raise ValueError(f"grippers must be a (2, 3) array, not of shape {place.shape}")
-    return place
+    if np.shape(grippers) != (2, 3):
+        raise ValueError(f"grippers must be a (2, 3) array, not of shape {np.shape(grippers)}: give those of one frame")
+    return as_points(grippers, "grippers", copy=True)

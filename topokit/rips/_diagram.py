@@ -135,7 +135,7 @@ class Diagram:
         (array([[1, 4],
                [2, 3]]), array([[1, 4]]))
         """
-        ids = [_as_walk(walk, self.n_points) for walk in walks]
+        ids = [_as_walk(walk, self.n_points, f"walks[{number}]") for number, walk in enumerate(walks)]
         if any(len(walk) == 1 for walk in ids):
             raise ValueError("a walk must have an edge, not a single vertex")
         edges = [edge or (-1, -1) for edge in self._homology.killers_of(ids)]
@@ -195,8 +195,8 @@ def tighten(
     cycle : (length,) array_like of int
         Vertex ids; the last joins the first.
     radius : float, optional
-        The complex is VR_radius. When it is not given or smaller, the complex is that of the walk's own birth, with all edges
-        up to the walk's latest.
+        The Rips complex has all edges up to the length 2 * radius. When the radius is not given, or is below half the length of
+        the walk's longest edge, that half length is used.
     metric : {"euclidean", "precomputed"}
         Kind of `points`; ignored for a diagram.
 
@@ -256,11 +256,13 @@ def tighten(
     return np.array([*tight[first:], *tight[:first]], dtype=np.int64)
 
 
-def _as_walk(cycle: ArrayLike, n_points: int) -> list[int]:
+def _as_walk(cycle: ArrayLike, n_points: int, name: str = "cycle") -> list[int]:
     """Return the vertex ids of a closed walk, repeated ones next to each other left out."""
-    ids = as_ids(cycle, "cycle", n_points)
-    if ids.ndim != 1 or len(ids) == 0:
-        raise TypeError(f"cycle must be a sequence of vertex ids, not of shape {ids.shape}")
+    if np.ndim(cycle) != 1:
+        raise TypeError(f"{name} must be a sequence of vertex ids, not {np.asarray(cycle).tolist()!s:.40}")
+    if not np.size(cycle):
+        raise ValueError(f"{name} is empty: a closed walk needs vertex ids")
+    ids = as_ids(cycle, name, n_points)
     changes = ids != np.roll(ids, -1)
     return ids[changes].tolist() if changes.any() else [int(ids[0])]
 

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import sys
+import warnings
 from collections.abc import Sequence
 from concurrent.futures import ThreadPoolExecutor
 from itertools import pairwise
@@ -40,9 +41,9 @@ def rips_persistence(
         When the points or the matrix are not valid, as with nan or an asymmetric matrix.
     MemoryError
         When the tables would take more than 4.3 GB; take a subset of the points then (`farthest_point_sample`). Points in up
-        to three dimensions need at most 2 kB each, and loops and edges of the same length may need more. A matrix of distances,
-        as which points of more dimensions are read, needs 8 bytes for each pair, a bit for each pair besides, and 36 bytes for
-        each edge that is sorted at a time, which are four million, or more when more have the same length.
+        to three dimensions need at most 2 kB each, and more when many edges have the same length. Points of more dimensions, and
+        a matrix, need 8 bytes and 1 bit for each pair, and 36 bytes for each edge that is sorted at a time: four million edges,
+        or more when more have the same length.
 
     Examples
     --------
@@ -55,7 +56,18 @@ def rips_persistence(
     cutoff = positive(max_radius, "max_radius", infinite=True)
     shortest = positive(min_lifetime, "min_lifetime", infinite=True)
     cloud = Cloud.of(points, metric)
+    if metric == "euclidean":
+        _suspect_distances(points)
     return _diagrams([cloud], [pairs(cloud, cutoff * cloud.scale)], cutoff, shortest)[0]
+
+
+def _suspect_distances(points: ArrayLike) -> None:
+    """Warn when points look like a matrix of distances: square, symmetric, and zero on the diagonal."""
+    table = np.asarray(points)
+    is_square = 4 <= table.shape[0] == table.shape[1]
+    if is_square and not table.diagonal().any() and np.array_equal(table, table.T):
+        message = 'points are a symmetric matrix with a zero diagonal: if they are distances, give metric="precomputed"'
+        warnings.warn(message, stacklevel=3)
 
 
 def rips_persistence_many(
@@ -73,6 +85,7 @@ def rips_persistence_many(
     Parameters
     ----------
     clouds : (T, n, d) array_like or list of (n_t, d) array_like
+        Matrices of distances are not accepted: call `rips_persistence` for each.
     n_jobs : int, optional
         Number of threads; by default one for each core.
     progress : bool

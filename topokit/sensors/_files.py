@@ -52,6 +52,9 @@ class _Declared:
     def __post_init__(self) -> None:
         if self.unit not in (None, *UNITS):
             raise ValueError(f"unit must be one of {', '.join(UNITS)}, not {self.unit!r}")
+        if not isinstance(self.intrinsics, (str, Path, Mapping, type(None))):
+            kinds = "a mapping such as {'fx': 600, 'fy': 600, 'cx': 320, 'cy': 240}, or the path of a JSON file"
+            raise TypeError(f"intrinsics must be {kinds}, not {type(self.intrinsics).__name__}")
 
 
 def read_clouds(
@@ -63,7 +66,9 @@ def read_clouds(
     topic: str | None = None,
     fps: float | None = None,
 ) -> Frames:
-    """Yield the clouds (n, 3) of a film, raw and in metres, each with its time in seconds, or None when it has none.
+    """Yield the clouds of a film, raw and in metres, each with its time in seconds, or None when it has none.
+
+    A cloud is (n, 3), or (n, 2) where the file has two numbers a point.
 
     Files of NumPy need no extra; the others need ``pip install 'topokit[sensors]'``. `Cleaner` makes the clouds ready.
 
@@ -90,8 +95,13 @@ def read_clouds(
     Raises
     ------
     FileNotFoundError, FormatError
-        When a file is missing or unsound, or packs more than `topokit._strangers` allows. The message names the file, the problem
-        and a remedy.
+        When a file is missing or unsound, or unpacks to more than 64 MiB plus 100 times its size (the environment variable
+        TOPOKIT_UNPACKED raises the 64 MiB). Files are opened when the first cloud is asked for. The message names the file, the
+        problem and a remedy.
+    TypeError, ValueError
+        When an option has another kind or value than those above.
+    ImportError
+        When a package is missing that files of this kind need.
     """
     rate = None if fps is None else positive(fps, "fps", zero=False)
     return _read(Path(path), _Declared(unit, columns, intrinsics, topic, rate))
@@ -105,7 +115,9 @@ def read_stream(
     intrinsics: Mapping[str, Any] | str | Path | None = None,
     check_unit: bool = True,
 ) -> Iterator[Array]:
-    """Yield the clouds (n, d) of a stream of .npy arrays, one after another, until it ends.
+    """Yield the clouds, in metres, of a stream of .npy arrays, one after another, until it ends.
+
+    A cloud is (n, 3) or (n, 2). An array may hold one cloud or several, as a file may for `read_clouds`.
 
     Parameters
     ----------
@@ -131,13 +143,14 @@ def read_stream(
             array = _next_array(stream)
         except Exception as error:  # a header can be wrong in a dozen ways
             raise FormatError(f"frame {number} on standard input is no whole .npy array: {error}") from error
-        try:
-            cloud = _as_cloud(array, declared, None)
-            if unsure and _size_is_plausible(cloud, declared):
-                unsure = False
-        except ValueError as error:
-            raise FormatError(f"frame {number} on standard input: {error}") from error
-        yield cloud
+        for frame in _frames_of(array):
+            try:
+                cloud = _as_cloud(frame, declared, None)
+                if unsure and _size_is_plausible(cloud, declared):
+                    unsure = False
+            except ValueError as error:
+                raise FormatError(f"frame {number} on standard input: {error}") from error
+            yield cloud
 
 
 def _next_array(stream: Any) -> Array:
@@ -273,6 +286,8 @@ def _as_cloud(frame: Array, declared: _Declared, camera: Path | Mapping[str, Any
     if len(columns) > 3:
         three = "a place has three: say which, as columns=(0, 1, 2) or --columns 0,1,2; the others may be colours"
         raise ValueError(f"{len(columns)} numbers a point, and {three}")
+    if len(columns) < 2 or len(set(columns)) < len(columns):
+        raise ValueError(f"the place of a point is three different numbers, or two in the plane, not {list(columns)}")
 
     if names:
         places = np.stack([as_reals(frame[name].ravel(), str(name)) for name in columns], axis=-1)

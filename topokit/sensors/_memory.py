@@ -68,6 +68,12 @@ class CloudMemory:
         around : (m, 3) array_like, optional
             Other points in the picture, such as a wall or a hand. They hide points behind them, and show that places in front
             of them are empty. Without them, remembered points beside the cloth in the picture stay.
+
+        Raises
+        ------
+        ValueError
+            When the cloth has too few places, an array is not (n, 3), or a coordinate is not finite. For a frame in which the
+            cloth is hidden, call `SeqPH.skip` in place of this.
         """
         cloth = _in_space(points, "points")
         others = _in_space(np.zeros((0, 3)) if around is None else around, "around")

@@ -73,6 +73,8 @@ class Cleaner:
     """
 
     def __init__(self, pipeline: Pipeline | None = None) -> None:
+        if not isinstance(pipeline, (Pipeline, type(None))):
+            raise TypeError(f"pipeline must be a Pipeline, not {type(pipeline).__name__}: give Pipeline(**options)")
         self.pipeline = Pipeline() if pipeline is None else pipeline
         self.removed: dict[str, int] = {}
         self._frame = 0
@@ -113,6 +115,7 @@ class Cleaner:
 
     def _step(self, name: str, points: Array, step: Callable[[Array], Array]) -> Array:
         """Apply a step to the remaining points, and count the points that it removes."""
+        self.removed[name] = 0
         if not len(points):
             return points
         left = step(points)

@@ -9,7 +9,7 @@ Source: the elder rule for given cycles is that of `Diagram.killers_of`. Taught 
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Iterable, Sequence
 from dataclasses import replace
 
 import numpy as np
@@ -22,24 +22,25 @@ from ._frames import Frame
 from ._state import Loop, loop_at
 
 
-def follow(loops: Sequence[Loop], cloud: ArrayLike) -> list[Loop]:
+def follow(loops: Iterable[Loop], cloud: ArrayLike) -> list[Loop]:
     """Return the loops where the same points are now, those that are still there, longest lifetime first.
 
-    Each keeps its identity and its birth, which is of the sampling and not of the motion; its death is that of its cycle's class
-    in the moved cloud. A loop is gone when its class ends before its birth, or with a longest edge of its cycle. The points must
-    be the same in each frame, as an episode's `points` are; its `observed` points are drawn anew for each frame.
+    A loop keeps its identity. It also keeps its birth, because birth measures the sampling and not the motion. Its new death is
+    the filtration value at which its cycle is filled in the moved cloud. A loop is dropped when that value is not above its
+    birth, or when the cycle is filled as soon as its longest edge enters. The points must be the same in each frame, as an
+    episode's `points` are; its `observed` points are drawn anew for each frame.
 
     Parameters
     ----------
-    loops : sequence of Loop
-        Tracked, so that they have cycles.
+    loops : iterable of Loop
+        Tracked, so that they have cycles; a state is one.
     cloud : (n, d) array_like
         The points of the cloud that the loops were found in, in their order, moved.
 
     Raises
     ------
     ValueError
-        When the cloud lacks a point of a loop's cycle.
+        When the cloud lacks a point of a loop's cycle, or has another dimension than the loops.
     LookupError
         When a loop has no cycle.
 
@@ -52,7 +53,7 @@ def follow(loops: Sequence[Loop], cloud: ArrayLike) -> list[Loop]:
     >>> [round(loop.death, 2) for loop in tk.follow(loops, ring * [1, 0.8])]
     [0.79]
     """
-    return follow_all(loops, cloud)[0]
+    return follow_all(list(loops), cloud)[0]
 
 
 def follow_all(loops: Sequence[Loop], cloud: ArrayLike, frame: Frame | None = None) -> tuple[list[Loop], list[Loop]]:
@@ -70,7 +71,10 @@ def follow_all(loops: Sequence[Loop], cloud: ArrayLike, frame: Frame | None = No
     ValueError, LookupError
         As `follow` does.
     """
-    points = as_points(cloud)
+    points = as_points(cloud, "cloud", copy=True)
+    if loops and points.shape[1] != loops[0].killer_edge_points.shape[1]:
+        known = loops[0].killer_edge_points.shape[1]
+        raise ValueError(f"cloud has {points.shape[1]} dimensions, and the loops have {known}")
     cycles = [loop.cycle for loop in loops]
     last = max((int(cycle.max()) for cycle in cycles), default=-1)
     if last >= len(points):

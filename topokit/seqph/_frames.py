@@ -95,6 +95,31 @@ class Frame:
         strength = self.significance(diagram.birth, diagram.death)
         return evidence(strength, needed(strength, diagram.birth, self.gaps))
 
+    def check_follows(self, before: Frame, number: int) -> None:
+        """Check that this frame has the dimension of the frame before, and seems to be in its unit.
+
+        Parameters
+        ----------
+        before : Frame
+        number : int
+            Of this frame, for the message.
+
+        Raises
+        ------
+        ValueError
+            When they differ; the message names both sizes.
+        """
+        if self.tree.m != before.tree.m:
+            raise ValueError(f"frame {number} has {self.tree.m} dimensions, the frames before it have {before.tree.m}")
+
+        # A scene may grow, and a cloud may become coarser. Both at once by the same large factor is a change of units.
+        size = _extent(self.tree)
+        size_before = _extent(before.tree)
+        if _differ_in_units(size, size_before) and _differ_in_units(spacing(self.tree), spacing(before.tree)):
+            sizes = f"frame {number} is {size:.4g} across, and the frame before it {size_before:.4g}"
+            reason = "the gaps between points changed as much, so the frames seem to be in different units"
+            raise ValueError(f"{sizes}; {reason}: convert one of them, or start a new tracker")
+
     def motion_since(self, before: Frame) -> tuple[Array, float]:
         """Return the shift (d,) of the scene since an earlier frame, and how far its points have moved in addition.
 
@@ -122,18 +147,8 @@ def check_follows(
     if frame.tree.n == 0:
         raise ValueError(f"frame {number} has no points, so that its loops are not known: call skip() for it")
     check_time(number, time, time_before)
-    if before is None:
-        return
-    if frame.tree.m != before.tree.m:
-        raise ValueError(f"frame {number} has {frame.tree.m} dimensions, the frames before it have {before.tree.m}")
-
-    # A scene may grow, and a cloud may become coarser. Both at once by the same large factor is a change of units.
-    size = _extent(frame.tree)
-    size_before = _extent(before.tree)
-    if _differ_in_units(size, size_before) and _differ_in_units(spacing(frame.tree), spacing(before.tree)):
-        sizes = f"frame {number} is {size:.4g} across, and the frame before it {size_before:.4g}"
-        reason = "the gaps between points changed as much, so the frames seem to be in different units"
-        raise ValueError(f"{sizes}; {reason}: convert one of them, or start a new tracker")
+    if before is not None:
+        frame.check_follows(before, number)
 
 
 def check_time(number: int, time: float | None, before: float | None) -> None:

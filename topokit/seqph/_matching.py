@@ -7,7 +7,7 @@ from collections.abc import Callable, Iterable
 from dataclasses import dataclass
 
 import numpy as np
-from numpy.typing import NDArray
+from numpy.typing import ArrayLike, NDArray
 
 from topokit._validate import Array
 from topokit.sampling import hausdorff_table
@@ -61,12 +61,12 @@ class Candidates:
 MatchRule = Callable[[Candidates], Iterable[tuple[int, int]]]
 
 
-def assign(cost: Array, allowed: NDArray[np.bool_] | None = None) -> list[tuple[int, int]]:
+def assign(cost: ArrayLike, allowed: NDArray[np.bool_] | None = None) -> list[tuple[int, int]]:
     """Match as many rows and columns as possible, at the least total cost among such matchings.
 
     Parameters
     ----------
-    cost : (n, m) float64
+    cost : (n, m) array_like
         Costs, which must not be negative when `allowed` is given.
     allowed : (n, m) bool, optional
         Pairs that may be matched; all of them when not given.
@@ -78,6 +78,7 @@ def assign(cost: Array, allowed: NDArray[np.bool_] | None = None) -> list[tuple[
     """
     from scipy.optimize import linear_sum_assignment  # here, because importing topokit must be quick
 
+    cost = np.asarray(cost, dtype=np.float64)
     if allowed is None:
         allowed = np.ones(cost.shape, dtype=bool)
     forbidden = 1.0 + 2.0 * float(np.where(allowed, cost, 0.0).sum())

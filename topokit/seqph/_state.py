@@ -8,7 +8,7 @@ Source: Antonova et al. 2021, section 4 (the zeta_l of Algorithm 1). Taught in c
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterable
+from collections.abc import Callable, Iterable, Iterator
 from dataclasses import dataclass, field
 from functools import cached_property, partial
 from typing import Any
@@ -163,6 +163,9 @@ class TopologicalState:
     def __len__(self) -> int:
         return len(self.loops)
 
+    def __iter__(self) -> Iterator[Loop]:
+        return iter(self.loops)
+
     def __repr__(self) -> str:
         return f"TopologicalState(frame={self.frame}, time={self.time}, loops={self.loops})"
 
@@ -188,7 +191,7 @@ def as_table(states: Iterable[TopologicalState]) -> Any:
     """Return tracked states as a `pandas.DataFrame`, a row for every loop of every frame.
 
     Columns are frame, time, id, birth, death, lifetime, killer_shift, the centre (x, y, z, or x0 to x[d-1] when d is not 3)
-    and the killer edge's vertex ids (killer_a, killer_b).
+    and the killer edge's vertex ids (killer_a, killer_b). It needs pandas, which the core does not install.
     """
     import pandas as pd
 

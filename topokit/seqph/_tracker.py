@@ -176,7 +176,14 @@ class SeqPH:
             Time in seconds, for all frames or for none; the frame's number when not given.
         diagram : Diagram, optional
             Persistence of these points, computed when not given. With a given diagram isolated points are not left out.
-            All its loops must die.
+            All its loops must die. That it belongs to other points with the same number of them is not noticed.
+
+        Raises
+        ------
+        TypeError, ValueError
+            When the cloud has no point (call `skip`), a NaN, or another dimension than the one before; when its time is missing
+            or not later than the last; when both its extent and its spacing differ from those of the last frame by a factor
+            above 20, so that it seems to be in another unit; when the diagram has another number of points.
         """
         tree = as_tree(points, f"frame {self._number}", copy=True)
         frame = self._frame(tree)
@@ -402,8 +409,15 @@ def place(diagram: Diagram, i: int, cloud: Array, identity: str) -> Array:
     i : int
     cloud : (n, d) float64
         The diagram's points.
-    identity : str
+    identity : {"killer-edge", "killer-triangles", "cycle"}
+
+    Raises
+    ------
+    ValueError
+        When there is no such identity.
     """
+    if identity not in _IDENTITIES:
+        raise ValueError(f"identity must be one of {', '.join(_IDENTITIES)}, not {identity!r}")
     if identity == "killer-edge":
         return cloud[diagram.killer_edge[i]]
     if identity == "killer-triangles":

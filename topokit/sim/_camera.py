@@ -15,6 +15,7 @@ from numpy.typing import ArrayLike, NDArray
 from pydantic import Field
 
 from topokit._config import NotNegative, Place, Positive, checked
+from topokit._validate import positive
 
 from ._surface import Array
 
@@ -166,8 +167,9 @@ class Camera:
         Raises
         ------
         ValueError
-            When `n` is negative or above a hundred.
+            When `n` is negative or above a hundred, or the distance is not above 0.
         """
+        distance = positive(distance, "distance", zero=False)
         if not 0 <= n <= 100:
             raise ValueError(f"n must be from 0 to 100 cameras, not {n}")
         middle = np.asarray(place, dtype=np.float64)

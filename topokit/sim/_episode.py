@@ -105,7 +105,7 @@ def simulate(
     if n_observed is None:
         n_observed = 500 if cameras else min(500, len(garment.vertices))
     most = sum(camera.width * camera.height for camera in cameras) or len(garment.vertices)
-    if not 1 <= n_observed <= most:
+    if not 1 <= n_observed <= most or n_observed % 1:
         available = "pixels of all cameras" if cameras else "vertices of the garment"
         raise ValueError(f"n_observed must be from 1 to {most}, the number of {available}, not {n_observed}")
     # Plan the path, and turn the garment to its start.

@@ -49,6 +49,10 @@ class Via:
     rest: bool = False  #: whether the grippers stand still there
     yaw: float = 0.0  #: degrees by which the grippers are turned about the vertical through their middle, x towards y
 
+    def __post_init__(self) -> None:
+        if np.shape(self.place) != (3,):
+            raise ValueError(f"place must be three numbers, x, y and z in metres, not {self.place!r:.80}")
+
 
 @dataclass(frozen=True, eq=False)
 class GripperPath:

@@ -7,9 +7,9 @@ from collections.abc import Sequence
 from typing import Annotated, Any
 
 import numpy as np
-from pydantic import AfterValidator
+from pydantic import AfterValidator, BeforeValidator
 
-from topokit._config import NotNegative, Positive, checked
+from topokit._config import NotNegative, Positive, as_tuple, checked
 
 from ._camera import Camera
 from ._garments import Garment
@@ -26,9 +26,9 @@ def _ordered(bounds: Bounds) -> Bounds:
     return bounds
 
 
-Range = Annotated[Bounds, AfterValidator(_ordered)]
-PositiveRange = Annotated[tuple[Positive, Positive], AfterValidator(_ordered)]
-NotNegativeRange = Annotated[tuple[NotNegative, NotNegative], AfterValidator(_ordered)]
+Range = Annotated[Bounds, BeforeValidator(as_tuple), AfterValidator(_ordered)]
+PositiveRange = Annotated[tuple[Positive, Positive], BeforeValidator(as_tuple), AfterValidator(_ordered)]
+NotNegativeRange = Annotated[tuple[NotNegative, NotNegative], BeforeValidator(as_tuple), AfterValidator(_ordered)]
 
 
 @checked
@@ -57,7 +57,14 @@ class Randomisation:
         seed : int
         purpose : str
             "path", "physics", "cameras", "noise", "sizes", "place" or "script".
+
+        Raises
+        ------
+        ValueError
+            When there is no such purpose.
         """
+        if purpose not in PURPOSES:
+            raise ValueError(f"there is no purpose {purpose!r}; there are {', '.join(PURPOSES)}")
         return np.random.default_rng(np.random.SeedSequence(seed, spawn_key=(PURPOSES.index(purpose),)))
 
     def draw(

@@ -69,7 +69,13 @@ class Target(ABC):
         return float(self.seat[2])
 
     def holds(self, loop: ArrayLike) -> bool:
-        """Return whether a closed curve (L, 3) winds around the target: it links the closed centre line."""
+        """Return whether a closed curve (L, 3) winds around the target: it links the closed centre line.
+
+        Raises
+        ------
+        ValueError
+            When the curve touches the centre line, or is no closed curve in space.
+        """
         return _linked(loop, close_far(self.centre_line))
 
     def raised_for(self, garment: Garment) -> Target:

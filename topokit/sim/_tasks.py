@@ -322,7 +322,11 @@ def resolved(task: str | Task | None, garment: Garment | None, target: Target | 
         advice = "make one with Garment.from_mesh or from WARDROBE"
         if isinstance(garment, str | Path):
             advice = f"make one with Garment.from_mesh({str(garment)!r})"
+            if str(garment) in WARDROBE:
+                advice = f"make one with WARDROBE[{str(garment)!r}]()"
         raise WrongKindError(f"garment must be a Garment, not {type(garment).__name__}: {advice}")
+    if target is not None and not isinstance(target, Target):
+        raise WrongKindError(f"target must be a Target such as Hook(), not {type(target).__name__}")
     if task is None:
         task = task_for(garment or Garment.apron(), target or Hook())
     task = as_task(task)
