@@ -243,8 +243,9 @@ def test_it_travels_to_spawned_processes_without_its_episodes(windows):
         ({"horizon": 60}, r"no episode has the 64 frames of a window \(of 6 episodes\)"),
         ({"history": 15}, r"no episode has the 21 frames of a window \(of 6 episodes\)"),
         ({"episodes": []}, r"no episode has the 10 frames of a window \(of 0 episodes\)"),
-        *(({name: 0}, f"{name} must be") for name in SIZES),
-        ({"stride": True}, "stride must be"),
+        *(({name: 0}, f"{name} must be 1 or more, a whole number, not 0") for name in SIZES),
+        ({"stride": True}, "stride must be a whole number, not True"),
+        ({"history": 4.5}, "history must be 1 or more, a whole number, not 4.5"),
         ({"episodes": [0, 77, 78]}, "2 episodes have no labels 'full', the first is 77: topokit label makes them"),
     ],
 )

@@ -93,7 +93,7 @@ def test_a_matrix_of_distances_that_is_read_as_points_is_suspected():
 
 
 def test_messages_name_the_arguments():
-    with pytest.raises(ValueError, match="b has 2"):
+    with pytest.raises(ValueError, match="a has 3 dimensions, b 2"):
         hausdorff(RING, RING[:, :2])
     diagram = tk.rips_persistence(RING)
     with pytest.raises(TypeError, match=r"walks\[0\]"):

@@ -244,8 +244,8 @@ def atomic_file(path: str | Path) -> Iterator[IO[bytes]]:
 def temporary_folder() -> Iterator[Path]:
     """Make a folder for temporary files, which is removed when the block ends.
 
-    Its name is noted before it is made. So a signal that comes between the two leaves nothing, as it would with the one of
-    `tempfile`.
+    Its name is noted before it is made. So a signal that comes between the two leaves nothing behind. With `tempfile` it would
+    leave the folder.
     """
     folder = Path(tempfile.gettempdir(), f"topokit-{secrets.token_hex(8)}")
     _unfinished.add((os.getpid(), folder))

@@ -85,8 +85,8 @@ class LoopMixture:
 
     def __post_init__(self) -> None:
         for name, value in vars(self).items():
-            object.__setattr__(self, name, as_reals(value, name).astype(np.float64))
-        shape = np.shape(self.means)
+            object.__setattr__(self, name, np.asarray(as_reals(value, name), dtype=np.float64))
+        shape = self.means.shape
         shapes = [array.shape for array in (self.means, self.covariances, self.weights)]
         if len(shape) != 2 or shapes != [shape, (*shape, shape[1]), shape[:1]]:
             needed = "means (m, d), covariances (m, d, d) and weights (m,)"

@@ -111,12 +111,15 @@ def covering_radius(dense: ArrayLike, sample: ArrayLike | cKDTree) -> float:
     >>> covering_radius([[0.0], [1.0], [3.0]], [[0.0]])
     3.0
     """
-    points = _measurable(dense, "dense")
-    tree = as_tree(sample, "sample")
+    return _farthest(_measurable(dense, "dense"), as_tree(sample, "sample"), "dense", "sample")
+
+
+def _farthest(points: Array, tree: cKDTree, name: str, name_of_tree: str) -> float:
+    """Return the largest distance from a point to its nearest one of a tree; the names are for errors."""
     if len(points) == 0 or tree.n == 0:
-        raise ValueError("dense and sample need at least one point each")
+        raise ValueError(f"{name} and {name_of_tree} need at least one point each")
     if points.shape[1] != tree.m:
-        raise ValueError(f"dense has {points.shape[1]} dimensions, sample {tree.m}")
+        raise ValueError(f"{name} has {points.shape[1]} dimensions, {name_of_tree} {tree.m}")
     return float(tree.query(points)[0].max())
 
 
@@ -142,11 +145,7 @@ def hausdorff(a: ArrayLike | cKDTree, b: ArrayLike | cKDTree) -> float:
     """
     tree_a = as_tree(a, "a")
     tree_b = as_tree(b, "b")
-    if not tree_a.n or not tree_b.n:
-        raise ValueError("a and b need at least one point each")
-    if tree_a.m != tree_b.m:
-        raise ValueError(f"a has {tree_a.m} dimensions, and b has {tree_b.m}")
-    return max(covering_radius(tree_a.data, tree_b), covering_radius(tree_b.data, tree_a))
+    return max(_farthest(tree_a.data, tree_b, "a", "b"), _farthest(tree_b.data, tree_a, "b", "a"))
 
 
 def hausdorff_table(a: Array, b: Array) -> Array:

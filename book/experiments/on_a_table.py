@@ -88,9 +88,9 @@ def frame(seed: int, way: str) -> tuple[Points, NDArray[np.bool_], Camera]:
     return camera.unproject(noisy, seen), of_cloth[seen], camera
 
 
-def loops_in(points: Points, pipeline: Pipeline) -> int:
-    """Return how many loops a single cloud has after a pipeline."""
-    return len(tk.track([Cleaner(pipeline)(points)])[0])
+def loops_in(points: Points) -> int:
+    """Return how many loops the farthest points of a single cloud have."""
+    return len(tk.track([Cleaner()(points)])[0])
 
 
 def main() -> None:
@@ -102,15 +102,10 @@ def main() -> None:
     for seed in range(options.frames):
         way = WAYS[seed % len(WAYS)]
         points, of_cloth, camera = frame(seed, way)
-        eye = tuple(camera.eye)
-        whole = Cleaner(Pipeline(planes=1, eye=eye, points=None))(points)
-        found = {
-            "its own pixels": loops_in(points[of_cloth], Pipeline()),
-            "without the plane": loops_in(whole, Pipeline()),
-            "above a centimetre": loops_in(points[points[:, 2] > 0.01], Pipeline()),
-            "all pixels": loops_in(points, Pipeline()),
-        }
-        frames.append({"seed": seed, "way": way, "loops": found, "kept": round(len(whole) / int(of_cloth.sum()), 3)})
+        without = Cleaner(Pipeline(planes=1, eye=camera.eye, points=None))(points)
+        clouds = (points[of_cloth], without, points[points[:, 2] > 0.01], points)
+        found = dict(zip(CLOUDS, map(loops_in, clouds), strict=True))
+        frames.append({"seed": seed, "way": way, "loops": found, "kept": round(len(without) / int(of_cloth.sum()), 3)})
         print(frames[-1], flush=True)
     counts = np.array([[row["loops"][name] for name in CLOUDS] for row in frames])
     totals = {

@@ -72,9 +72,10 @@ def follow_all(loops: Sequence[Loop], cloud: ArrayLike, frame: Frame | None = No
         As `follow` does.
     """
     points = as_points(cloud, "cloud", copy=True)
-    if loops and points.shape[1] != loops[0].killer_edge_points.shape[1]:
-        known = loops[0].killer_edge_points.shape[1]
-        raise ValueError(f"cloud has {points.shape[1]} dimensions, and the loops have {known}")
+    d = points.shape[1]
+    known = len(loops[0].centre) if loops else d
+    if d != known:
+        raise ValueError(f"cloud has {d} dimensions, and the loops have {known}")
     cycles = [loop.cycle for loop in loops]
     last = max((int(cycle.max()) for cycle in cycles), default=-1)
     if last >= len(points):
