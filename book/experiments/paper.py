@@ -307,14 +307,14 @@ class Experiment:
     def train_seeds(self, network: str, films: int, seeds: Sequence[int]) -> None:
         """Train a network with some seeds, at the rate and for the length that were found for it, or for the one it is like.
 
-        Those of a Motion are in the protocol.
+        Where the protocol has both, nothing is searched for.
         """
-        if self.is_motion(network):
-            training = self.protocol["networks"][network]["training"]
-            rate = training["learning_rate"]
-            length = training["epochs"]
+        described = self.protocol["networks"][network]
+        if "training" in described:
+            rate = described["training"]["learning_rate"]
+            length = described["training"]["epochs"]
         else:
-            model = self.protocol["networks"][network].get("like", network)
+            model = described.get("like", network)
             rate = self.rate_of(model)
             length = self.length_of(model)
         for seed in seeds:
