@@ -289,7 +289,8 @@ def track(
     out
         File to write the tracks to (.npz), or a line of JSON for each frame (.jsonl).
     plot
-        Also draw the tracks of an episode, or the last of the clouds with its loops (.png, .svg or .pdf).
+        Also draw the tracks of an episode, or the last of the clouds with its loops, with z up and as a camera sees it (.png,
+        .svg or .pdf).
     cloud
         Episodes: all vertices (default), or their observed sample.
     """
@@ -449,17 +450,22 @@ def _track_clouds(
 
 
 def _plot_cloud(path: Path, points: Any, state: TopologicalState) -> None:
-    """Draw a cloud, and around each of its loops the cycle and the killer triangles."""
+    """Draw a cloud, and around each of its loops the cycle and the killer triangles.
+
+    A file does not say whether z is up or leads away from a camera, so both views are drawn.
+    """
     from matplotlib.figure import Figure
 
     from ._archive import atomic_file
     from .view import plot_cloth
 
-    figure = Figure(figsize=(7, 7), dpi=120)
-    axes: Any = figure.add_subplot(projection="3d")
-    plot_cloth(points, ax=axes, loops=state.loops, true_loops=[loop.cycle for loop in state.loops])
-    for loop in state.loops:
-        axes.text(*loop.cycle_points.mean(axis=0), f"{loop.id}", ha="center", zorder=6)
+    figure = Figure(figsize=(12, 6), dpi=120)
+    views = {"z up": (-60, 12), "as a camera sees it: x right, y down": (-90, -90)}
+    for column, (title, view) in enumerate(views.items(), 1):
+        axes: Any = figure.add_subplot(1, 2, column, projection="3d", title=title)
+        plot_cloth(points, ax=axes, loops=state.loops, true_loops=[loop.cycle for loop in state.loops], view=view)
+        for loop in state.loops:
+            axes.text(*loop.cycle_points.mean(axis=0), f"{loop.id}", ha="center", zorder=6)
     with atomic_file(path) as picture:
         figure.savefig(picture, format=path.suffix[1:])
 

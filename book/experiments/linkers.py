@@ -546,9 +546,9 @@ def tables(results: dict[str, Any]) -> str:
     films = len(results["films"])
     tuned = len(results["tuned_on"])
     text = [
-        f"The first table has all twenty conditions together, on {films} of the 63 films. The options of the libraries were",
-        f"chosen on {tuned} other films. Brackets hold 95 % intervals over films. The last column is the time for a frame of",
-        "500 points, without persistence.",
+        f"The first table has all twenty conditions together, on {films} films. The options of the libraries were chosen on",
+        f"{tuned} other films. Brackets hold 95 % intervals over films. The last column is the time for a frame of 500 points,",
+        "without persistence.",
         "",
         "| tracker | IDF1 | HOTA | MOTA | switches | ms |",
         "|---|---|---|---|---|---|",
