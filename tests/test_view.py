@@ -208,6 +208,7 @@ def test_the_shadow_is_fainter_the_higher_the_cloth_hangs():
     np.testing.assert_allclose(low.shadow.mean(axis=(0, 1)), [3.2, 0, 0], atol=1e-9)
     assert low.darkness > high.darkness > 0
     assert len(below.shadow) == 0  # z = 0 is not its floor
+    assert len(view.Scene(points, faces, view=(-90.0, -90.0)).shadow) == 0  # an eye below the floor
 
 
 def test_a_fold_is_light_on_the_side_of_the_lamp(no_pyvista):

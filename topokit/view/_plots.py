@@ -95,6 +95,8 @@ class Scene:
             raise ValueError(f"rest has {len(rest)} points where the cloth has {len(self.points)}; pass another frame")
         self.marks = cloth_marks(rest, self.faces, smooth=self.rest is not None)
         self.shadow, self.darkness = shadow(self.points)
+        if self.view[1] < 0:  # an eye below the floor does not see it
+            self.shadow = self.shadow[:0]
         self.cycles = [self.points[np.append(ids, np.asarray(ids)[:1])] for ids in self.true_loops]
         line = triples(self.centre_line, "centre_line")
         capsules = [(triples(np.array(ends), "rods"), radius) for *ends, radius in self.rods]
