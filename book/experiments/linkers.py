@@ -12,8 +12,8 @@ threshold, each at the mean of its cocycle's vertices.
 The options are those with the largest mean of HOTA and IDF1 on the films of `--tuning` (seeds 100 to 102), in one condition of
 each kind. Then all films of `--episodes` are scored once with these options. seqPH was tuned on the same tuning films.
 
-Films that are missing are simulated first (63 in each folder, a minute each); with `--made` the films that are there are enough.
-Rows are appended to linkers.jsonl in the folder of the films; an interrupted run goes on where it was.
+Films that are missing are simulated first (63 in each folder, about ten seconds each); with `--made` the films that are there are
+enough. Rows are appended to linkers.jsonl in the folder of the films; an interrupted run goes on where it was.
 
 Source: Allan et al., *trackpy*; Fukai and Kawaguchi 2023, *LapTrack*; Thomas et al. 2017, *Stone Soup*; Saul, Tralie, *persim*;
 Tralie, Saul and Bar-On 2018, *Ripser.py*; Soler et al. 2018, *Lifted Wasserstein matcher for fast and robust topology tracking*.

@@ -2,10 +2,10 @@
 
     python book/experiments/tracking.py --episodes DIR --seeds 3 --out book/results/tracking.json
 
-Takes hours on two cores, most of them simulation.
+Takes an hour on one core.
 
-Episodes that are missing are simulated into a folder (a minute each), every episode is tracked and scored once, and its row is
-appended to scores.jsonl beside it: an interrupted run goes on where it was. The table pools the episodes; its intervals are
+Episodes that are missing are simulated into a folder (about ten seconds each), every episode is tracked and scored once, and its
+row is appended to scores.jsonl beside it: an interrupted run goes on where it was. The table pools the episodes; intervals are
 percentiles over bootstrap samples of episodes. With --clips a few frames around some failures are saved for the book.
 """
 

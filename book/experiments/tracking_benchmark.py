@@ -5,8 +5,8 @@
     python book/experiments/tracking_benchmark.py score --films FILMS --tracks TRACKS --out scores.csv
     python book/experiments/tracking_benchmark.py export --films FILMS --tracks TRACKS --out FOLDER --name mine
 
-`make` simulates the 63 episodes of chapter 8 where they are missing (a minute each), and writes each in twenty conditions to
-FILMS/condition/film.npz: an episode whose observed points are what a tracker may see, with the true loops. Clouds of different
+`make` simulates the 63 episodes of chapter 8 where they are missing (about ten seconds each), and writes each in 20 conditions
+to FILMS/condition/film.npz: an episode whose observed points are what a tracker may see, with the true loops. Clouds of other
 sizes are filled up by repeating points. Beside it lies film.gt.txt, the true loops in the format of MOTChallenge.
 
 `score` reads TRACKS/condition/film.csv with the columns frame, id, x, y, z (frames from 0, metres), or film.txt as MOTChallenge
