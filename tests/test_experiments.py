@@ -162,7 +162,9 @@ def test_a_model_is_not_tested_on_what_it_was_trained_on():
 def test_the_papers_experiment_goes_from_films_to_a_table_and_goes_on(tmp_path, monkeypatch):
     protocol = json.loads((EXPERIMENTS / "paper.json").read_text())
     protocol["films"]["validation"] = 3
-    protocol["networks"]["mlp_without_sheet"] = {"model": "mlp", "like": "mlp", "held_out": ["sheet"], "seeds": [0]}
+    training = {"learning_rate": 2e-3, "epochs": 1}  # nothing is searched for
+    without = {"model": "mlp", "held_out": ["sheet"], "seeds": [0], "training": training}
+    protocol["networks"]["mlp_without_sheet"] = without
     small = {
         "training_films": 3,
         "curve": {"films": [2], "networks": ["mlp"], "seed": 0},
@@ -198,6 +200,7 @@ def test_the_papers_experiment_goes_from_films_to_a_table_and_goes_on(tmp_path, 
     dataset = Dataset(tmp_path / "films")
     (unknown,) = (tmp_path / "samples" / "validation" / "all").glob("mlp_without_sheet-*.csv")
     assert set(pd.read_csv(unknown)["garment"]) == {"sheet"}
+    assert unknown.stem == "mlp_without_sheet-3-0-0.002-1"
     experiment = paper.Experiment(protocol | small, tmp_path, EXPERIMENTS, 1, "cpu", (3,), ("mlp",))
     for films in experiment.training_films(3, ["sheet"]):
         assert len(films)
