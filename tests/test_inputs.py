@@ -202,3 +202,18 @@ def test_a_controller_that_was_not_reset_says_so():
         _ = control.Servo().goals
     with pytest.raises(RuntimeError, match="observe"):
         control.Carried().move(ACTIONS[None], None, RING)
+
+
+@pytest.mark.parametrize("name", ["points", "grippers", "target", "rods"])
+def test_a_controller_names_the_entry_of_an_observation_that_is_wrong(name):
+    control = pytest.importorskip("topokit.control")
+    line = [[0, 0, 0], [0, 0, 1.4], [0, 0, 1.6]]  # no arm, so that the rods are read
+    observation = {"points": RING, "grippers": ACTIONS[0], "target": line, "held": True, "rods": np.ones((3, 7))}
+    for servo in (control.Servo(), control.StrapController()):
+        servo.reset(observation)
+        for wrong in (np.full((2, 3), np.nan), np.zeros((2, 2)), None):
+            spoilt = {key: value for key, value in observation.items() if key != name}
+            if wrong is not None:
+                spoilt[name] = wrong
+            with pytest.raises(ValueError, match=name):
+                servo.act(spoilt)

@@ -21,7 +21,7 @@ from topokit._opening import lies_flat
 from topokit.linking import close_far, curve_centroid, linking_number
 
 from ._arm import Arm, Array
-from ._servo import SURE, TURN, USUAL_STEP, Servo
+from ._servo import SURE, TURN, USUAL_STEP, Servo, entry
 
 _NEW_WEIGHT = 0.1  # weight of a new measurement of the middle of the cloth
 _CLEAR = 0.06  # metres between the head and cloth that is carried over it
@@ -85,16 +85,17 @@ class _Wearing(Servo):
         nothing = np.zeros(7, np.float32)
         if self.reason:
             return nothing
-        grippers = np.asarray(observation["grippers"], np.float64)
-        line = np.asarray(observation["target"], np.float64)
-        body = _Body.of(line, np.asarray(observation["rods"], np.float64), self._approach_from)
+        points = entry(observation, "points")
+        grippers = entry(observation, "grippers")
+        line = entry(observation, "target")
+        body = _Body.of(line, entry(observation, "rods"), self._approach_from)
         if body is None:
             self.reason = "the target has no head on shoulders, so nothing can be put on it"
         if body is None or not observation["held"]:
             return nothing
         self._frame += 1
         self._least_width = 0.0
-        self._follow(np.asarray(observation["points"], np.float64), grippers, line)
+        self._follow(points, grippers, line)
         self.reason = self._unfit(body)
         return nothing if self.reason else self._onward(body, grippers)
 

@@ -22,7 +22,7 @@ from numpy.typing import ArrayLike, NDArray
 
 from topokit._geometry import angle, turned
 from topokit._opening import Opening, lies_flat
-from topokit._validate import as_reals, positive, whole
+from topokit._validate import as_points, as_reals, positive, whole
 from topokit.rips import tighten
 from topokit.sampling import as_tree
 from topokit.seqph import SeqPH
@@ -106,7 +106,28 @@ class Controller(ABC):
         ----------
         observation : mapping
             As for `reset`.
+
+        Raises
+        ------
+        ValueError
+            When an entry is missing, has another shape, or is not finite.
+        RuntimeError
+            Before the first `reset`.
         """
+
+
+_WIDTHS = {"points": 3, "grippers": 3, "target": 3, "rods": 7}  # of the entries of an observation
+
+
+def entry(observation: Mapping[str, Any], name: str) -> Array:
+    """Return an entry (n, width) of an observation, or raise ValueError that names it."""
+    if name not in observation:
+        raise ValueError(f"the observation has no {name!r}; it has {', '.join(observation)}")
+    values = as_points(observation[name], name)
+    if values.shape[1] != _WIDTHS[name] or (name == "grippers" and len(values) != 2):
+        rows = 2 if name == "grippers" else "n"
+        raise ValueError(f"{name} of the observation must have the shape ({rows}, {_WIDTHS[name]}), not {values.shape}")
+    return values
 
 
 class Servo(Controller):
@@ -148,7 +169,7 @@ class Servo(Controller):
         """Forget everything, and begin with a first observation of `topokit.sim.HangEnv`."""
         self.reason = ""
         self._tracker = SeqPH()
-        self._goals = np.asarray(observation["grippers"], np.float64)
+        self._goals = entry(observation, "grippers")
         self._approach_from = self._goals.mean(axis=0)  # the place from which a head is approached
         # The loops that were seen, those that are to hang, and whether too few of the loops have an upright opening.
         self._known_loops: list[_KnownLoop] = []
@@ -168,10 +189,10 @@ class Servo(Controller):
     def act(self, observation: Mapping[str, Any]) -> NDArray[np.float32]:
         """Return the next action; nothing moves once there is a `reason` to give up."""
         self._check_begun()
-        points = np.asarray(observation["points"], np.float64)
-        grippers = np.asarray(observation["grippers"], np.float64)
-        line = np.asarray(observation["target"], np.float64)
-        arm = Arm.of(line) or Arm.of_head(line, np.asarray(observation["rods"], np.float64), self._approach_from)
+        points = entry(observation, "points")
+        grippers = entry(observation, "grippers")
+        line = entry(observation, "target")
+        arm = Arm.of(line) or Arm.of_head(line, entry(observation, "rods"), self._approach_from)
         if arm is None:
             self.reason = "the target has neither an arm that runs sideways nor a head on shoulders"
         if arm is None or self.reason or not observation["held"]:
