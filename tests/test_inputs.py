@@ -196,8 +196,9 @@ def test_units_of_layers_are_a_sequence():
 
 def test_a_controller_that_was_not_reset_says_so():
     control = pytest.importorskip("topokit.control")
-    with pytest.raises(RuntimeError, match="reset"):
-        control.Servo().act({})
+    for servo in (control.Servo(), control.StrapController(), control.PullOverController()):
+        with pytest.raises(RuntimeError, match="reset"):
+            servo.act({})
     with pytest.raises(RuntimeError, match="reset"):
         _ = control.Servo().goals
     with pytest.raises(RuntimeError, match="observe"):

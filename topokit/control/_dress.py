@@ -82,6 +82,7 @@ class _Wearing(Servo):
 
     def act(self, observation: Mapping[str, Any]) -> NDArray[np.float32]:
         """Return the next action; nothing moves once there is a `reason` to give up."""
+        self._check_begun()
         nothing = np.zeros(7, np.float32)
         if self.reason:
             return nothing
