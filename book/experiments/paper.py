@@ -2,10 +2,12 @@
 
     python book/experiments/paper.py
     python book/experiments/paper.py --protocol book/experiments/paper_anywhere.json --work runs/paper_anywhere
+    python book/experiments/paper.py --protocol book/experiments/paper_curve.json --work runs/paper_curve
 
 Questions, claims, measures, films, networks and their trainings are in paper.json beside this file. Those of the second setting,
-where targets stand anywhere, are in paper_anywhere.json. Nothing is chosen on the films to test on. There are six stages. Each
-leaves alone what is in the folder already, so the same command goes on after it was stopped:
+where targets stand anywhere, are in paper_anywhere.json, and those of the learning curve in the paper's setting in
+paper_curve.json. Nothing is chosen on the films to test on. There are six stages. Each leaves alone what is in the folder
+already, so the same command goes on after it was stopped:
 
 films      garments on coarse meshes, to train and to validate with
 labels     their loops, tracked on all vertices
