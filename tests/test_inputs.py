@@ -9,6 +9,7 @@ import pytest
 
 import topokit as tk
 from topokit.evaluate import Overlap, distance_to_hull, score
+from topokit.io import load_episode
 from topokit.sampling import hausdorff, spoil
 from topokit.seqph import assign
 
@@ -218,3 +219,20 @@ def test_a_controller_names_the_entry_of_an_observation_that_is_wrong(name):
                 spoilt[name] = wrong
             with pytest.raises(ValueError, match=name):
                 servo.act(spoilt)
+
+
+def test_a_controller_keeps_no_buffer_of_its_caller(episode_path):
+    control = pytest.importorskip("topokit.control")
+    film = load_episode(episode_path)
+    fresh = control.Planner(control.Carried())
+    reused = control.Planner(control.Carried())
+    buffers = {name: np.zeros(getattr(film, name)[0].shape) for name in ("points", "grippers")}
+    for t in range(0, 60, 4):
+        new = {name: getattr(film, name)[t].astype(np.float64) for name in buffers}
+        for name, values in new.items():
+            buffers[name][:] = values
+        rest = {"target": film.centre_line, "held": True}
+        if t == 0:
+            fresh.reset(new | rest)
+            reused.reset(buffers | rest)
+        assert np.array_equal(fresh.act(new | rest), reused.act(buffers | rest))

@@ -19,7 +19,7 @@ from numpy.typing import ArrayLike, NDArray
 from scipy.interpolate import CubicSpline
 
 from topokit._geometry import angle, turned
-from topokit._validate import positive, whole
+from topokit._validate import as_points, positive, whole
 from topokit.linking import linking_numbers
 
 from ._arm import Arm, Array
@@ -74,7 +74,7 @@ class Carried:
         target : (L, 3) array_like, optional
             A centre line.
         """
-        self._grippers = np.asarray(grippers, np.float64)
+        self._grippers = as_points(grippers, "grippers", copy=True)  # a robot may use its buffer again
 
     def move(self, actions: ArrayLike, held: ArrayLike | None, points: ArrayLike) -> tuple[Any, Any]:
         """Return places (C, 60, n, 3) of points under plans, and None for their errors.

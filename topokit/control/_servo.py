@@ -123,7 +123,7 @@ def entry(observation: Mapping[str, Any], name: str) -> Array:
     """Return an entry (n, width) of an observation, or raise ValueError that names it."""
     if name not in observation:
         raise ValueError(f"the observation has no {name!r}; it has {', '.join(observation)}")
-    values = as_points(observation[name], name)
+    values = as_points(observation[name], name, copy=True)  # a robot may use its buffer again
     if values.shape[1] != _WIDTHS[name] or (name == "grippers" and len(values) != 2):
         rows = 2 if name == "grippers" else "n"
         raise ValueError(f"{name} of the observation must have the shape ({rows}, {_WIDTHS[name]}), not {values.shape}")
