@@ -3,13 +3,15 @@
     python book/experiments/paper.py
     python book/experiments/paper.py --protocol book/experiments/paper_anywhere.json --work runs/paper_anywhere
     python book/experiments/paper.py --protocol book/experiments/paper_curve.json --work runs/paper_curve
+    python book/experiments/paper.py --protocol book/experiments/paper_usual.json --work runs/paper_usual
 
 Questions, claims, measures, films, networks and their trainings are in paper.json beside this file. Those of the second setting,
 where targets stand anywhere, are in paper_anywhere.json, and those of the learning curve in the paper's setting in
-paper_curve.json. Nothing is chosen on the films to test on. There are six stages. Each leaves alone what is in the folder
-already, so the same command goes on after it was stopped:
+paper_curve.json. Those of the networks of data_small, which learn from the usual mesh, are in paper_usual.json. Nothing is chosen
+on the films to test on. There are six stages. Each leaves alone what is in the folder already, so the same command goes on after
+it was stopped:
 
-films      garments on coarse meshes, to train and to validate with
+films      garments, to train and to validate with; on coarse meshes where the protocol has no other
 labels     their loops, tracked on all vertices
 trainings  of each network: the rate, then the length, then all seeds; the learning curve has one seed at other numbers of films
 tests      films of other seeds and their loops, on the usual mesh and on the coarse one of the training films
@@ -483,7 +485,8 @@ class Experiment:
         protocol = self.protocol
         setting = protocol["setting"]
         tests = {f"test_{mesh}": mesh for mesh in protocol["tests"]}
-        for name, parts in ((f"{out.stem}_validation", {"validation": "coarse"}), (out.stem, tests)):
+        validation = {"validation": protocol["films"].get("mesh", "coarse")}
+        for name, parts in ((f"{out.stem}_validation", validation), (out.stem, tests)):
             tables = []
             claims = {}
             whole = {}  # the samples of all garments
