@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import contextlib
 import dataclasses
 import errno
 import json
@@ -41,6 +42,30 @@ def episodes_in(folder):
     return len(list(folder.glob("0*.npz")))
 
 
+def kills_a_job(process):
+    """Kill a job of a command, and return whether there was one; jobs end by themselves at any moment."""
+    family = psutil.Process(process.pid)
+    servers = family.children()
+    for job in set(family.children(recursive=True)).difference(servers):
+        with contextlib.suppress(psutil.NoSuchProcess):
+            job.kill()
+            return True
+    return False
+
+
+@pytest.fixture
+def start():
+    """Start commands; what a test leaves running where it fails is killed."""
+    with contextlib.ExitStack() as started:
+
+        def start(*arguments):
+            process = started.enter_context(command(*arguments))
+            started.callback(process.kill)  # before the stack waits for it
+            return process
+
+        yield start
+
+
 @pytest.fixture(scope="module")
 def undisturbed(tmp_path_factory):
     folder = tmp_path_factory.mktemp("undisturbed") / "data"
@@ -78,7 +103,7 @@ def test_an_episode_is_what_anyone_simulates(undisturbed, tmp_path):
     assert path.read_bytes() == (undisturbed / "00000001.npz").read_bytes()
 
 
-def test_killed_in_every_way_it_goes_on(undisturbed, tmp_path, monkeypatch):
+def test_killed_in_every_way_it_goes_on(undisturbed, tmp_path, monkeypatch, start):
     """A child killed, the command killed, the command stopped by SIGTERM and by Ctrl-C: each time the same command goes on."""
     folder, config, temporary = tmp_path / "data", tmp_path / "config.json", tmp_path / ("a long name of a folder " * 4)
     config.write_text(json.dumps(TINY.to_json()))
@@ -87,11 +112,9 @@ def test_killed_in_every_way_it_goes_on(undisturbed, tmp_path, monkeypatch):
     arguments = ["generate", "--config", config, "--out", folder, "--episodes", str(EPISODES), "--seed", str(SEED)]
     arguments += ["--workers", "2", "--quiet"]
 
-    process = command(*arguments)
+    process = start(*arguments)
     wait_until(lambda: episodes_in(folder) >= 1, process)
-    servers = [child for child in psutil.Process(process.pid).children() if "forkserver" in " ".join(child.cmdline())]
-    for job in servers[0].children():
-        job.kill()  # tried again
+    wait_until(lambda: kills_a_job(process), process)  # which is tried again
     wait_until(lambda: episodes_in(folder) >= 3, process)
     family = psutil.Process(process.pid).children(recursive=True)
     process.kill()
@@ -104,7 +127,7 @@ def test_killed_in_every_way_it_goes_on(undisturbed, tmp_path, monkeypatch):
     assert 3 <= there < EPISODES
 
     for number in (signal.SIGTERM, signal.SIGINT):
-        process = command(*arguments)
+        process = start(*arguments)
         before = episodes_in(folder)
         wait_until(lambda before=before: episodes_in(folder) > before, process)
         if number == signal.SIGINT:
@@ -119,7 +142,7 @@ def test_killed_in_every_way_it_goes_on(undisturbed, tmp_path, monkeypatch):
     assert contents(folder) == contents(undisturbed)
 
 
-def test_a_cluster_whose_worker_is_killed_makes_the_same_bytes(undisturbed, tmp_path):
+def test_a_cluster_whose_worker_is_killed_makes_the_same_bytes(undisturbed, tmp_path, start):
     distributed = pytest.importorskip("distributed")
     options = {"n_workers": 2, "threads_per_worker": 1, "dashboard_address": "127.0.0.1:0", "silence_logs": 50}
     folder, config = tmp_path / "data", tmp_path / "config.json"
@@ -127,7 +150,7 @@ def test_a_cluster_whose_worker_is_killed_makes_the_same_bytes(undisturbed, tmp_
     with distributed.LocalCluster(**options) as cluster, distributed.Client(cluster, set_as_default=False) as client:
         workers = list(client.run(os.getpid).values())
         address = cluster.scheduler_address
-        process = command(
+        process = start(
             *("generate", "--config", config, "--out", folder, "--episodes", str(EPISODES), "--seed", str(SEED)),
             *("--scheduler", address, "--quiet"),
         )

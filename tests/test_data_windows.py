@@ -50,8 +50,6 @@ def test_a_window_is_a_piece_of_its_episode(dataset, windows, i):
     episode = dataset[int(number)]
     past, future = slice(t - H + 1, t + 1), slice(t + 1, t + K + 1)
     np.testing.assert_allclose(window["clouds"], resampled(episode.observed[past], 30), atol=1e-6)
-    as_stored = WindowDataset(dataset, history=H, horizon=K, n_points=30, resampled=False)[i]
-    np.testing.assert_allclose(as_stored["clouds"], episode.observed[past, :30], atol=1e-6)
     np.testing.assert_allclose(window["grippers"], episode.grippers[past], atol=1e-6)
     np.testing.assert_allclose(window["actions"], episode.actions[future], atol=1e-6)
     assert (window["held"].numpy() == episode.held[past]).all()
@@ -76,13 +74,12 @@ def seen_anew(dataset, out, change):
 
 
 def test_the_order_of_the_mesh_says_nothing(dataset, tmp_path):
-    """Whichever vertex is the first: the same points in the same order; and `resampled=False` shows that it matters else."""
+    """Whichever vertex is the first: the same points in the same order."""
     rng = np.random.default_rng(0)
     mixed = seen_anew(dataset, tmp_path / "mixed", lambda clouds: clouds[:, rng.permutation(clouds.shape[1])])
     options = {"episodes": [0], "history": H, "horizon": K, "n_points": 30}
-    for resampled in (True, False):
-        one, other = (WindowDataset(d, resampled=resampled, **options)[5]["clouds"] for d in (dataset, mixed))
-        assert one.equal(other) == resampled
+    one, other = (WindowDataset(d, **options)[5]["clouds"] for d in (dataset, mixed))
+    assert one.equal(other)
 
 
 @pytest.mark.parametrize("name", ["full", "observed-40"])

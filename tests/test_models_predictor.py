@@ -2,9 +2,11 @@
 
 from __future__ import annotations
 
+import dataclasses
 import json
 import subprocess
 import sys
+from pathlib import Path
 
 import numpy as np
 import pytest
@@ -16,12 +18,22 @@ import topokit as tk
 from topokit._archive import FormatError
 from topokit.cli import main
 from topokit.io import load_episode
-from topokit.models import LossWeights, Normalisation, Predictor, Shape, StateTensors, build, forecast_loss
+from topokit.models import (
+    LossWeights,
+    Normalisation,
+    Predictor,
+    Shape,
+    StateTensors,
+    TrainConfig,
+    build,
+    forecast_loss,
+)
 from topokit.models._baselines import past_window
 from topokit.models._checkpoint import save_tensors
 
 from windows import HISTORY, HORIZON, POINTS, SLOTS, RingWindows
 
+CHECKPOINTS = Path(__file__).parents[1] / "data_small" / "checkpoints"
 SHAPE = Shape(points=POINTS, slots=SLOTS)
 UNITS = Normalisation((0.0, 0.0, 0.85), 0.1, 0.08)
 SMALL = {"hidden": [32, 16]}
@@ -269,6 +281,16 @@ def test_a_checkpoint_gives_the_model_back(tmp_path, window, name):
     assert (tmp_path / "again.safetensors").read_bytes() == path.read_bytes()
     with pytest.raises(ValueError, match=r"\.safetensors"):
         predictor.save(tmp_path / "c.pt")
+
+
+@pytest.mark.parametrize("name", ["ridge", "mlp", "pointnet", "motion"])
+def test_a_configuration_of_data_small_is_the_one_its_checkpoint_was_trained_with(name):
+    described = Predictor.load(CHECKPOINTS / f"{name}.safetensors").description
+    written = dataclasses.asdict(TrainConfig.load(CHECKPOINTS / f"{name}.json"))
+    elsewhere = {"dataset", "split", "workers"}  # which do not change what a training does with its windows
+    known = described["config"].keys() & written.keys() - elsewhere
+    assert len(known) > 12
+    assert {key: written[key] for key in known} == {key: described["config"][key] for key in known}
 
 
 def test_damaged_checkpoints_are_refused(tmp_path):

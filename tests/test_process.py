@@ -37,7 +37,10 @@ print(list(in_fresh_processes(getattr(fresh_jobs, sys.argv[2]), [sys.argv[3]])))
 
 
 def is_gone(pid: str) -> bool:
-    return not psutil.pid_exists(int(pid)) or psutil.Process(int(pid)).status() == psutil.STATUS_ZOMBIE
+    try:
+        return psutil.Process(int(pid)).status() == psutil.STATUS_ZOMBIE
+    except psutil.NoSuchProcess:
+        return True
 
 
 def test_each_item_has_a_process_of_its_own_and_an_error_is_an_outcome():

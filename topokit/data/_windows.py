@@ -133,14 +133,12 @@ class WindowDataset(torch.utils.data.Dataset[dict[str, torch.Tensor]]):
     history, horizon : int
         Numbers of frames h and k.
     n_points : int
-        Number P of points of the observation; the points of a smaller observation are repeated.
+        Number P of points of the observation: a farthest-point sample, from the point farthest from its mean on, so that the
+        order of the mesh has no effect. The points of a smaller observation are repeated.
     slots : int
         Number S of slots.
     stride : int
         Frames from one window of an episode to the next.
-    resampled : bool
-        Take a farthest-point sample of each observation, from the point farthest from its mean on, so that the order of the
-        mesh has no effect. Else take the first P points, which in older films start at the first vertex of the mesh.
     memory : float
         Bytes of decoded episodes that a process keeps; the least recently used episode is dropped first.
     observe : callable, optional
@@ -167,7 +165,6 @@ class WindowDataset(torch.utils.data.Dataset[dict[str, torch.Tensor]]):
         n_points: int = 128,
         slots: int = 4,
         stride: int = 1,
-        resampled: bool = True,
         memory: float = 4e9,
         observe: Callable[[int, NDArray[np.float64]], NDArray[np.float64]] | None = None,
     ) -> None:
@@ -176,7 +173,6 @@ class WindowDataset(torch.utils.data.Dataset[dict[str, torch.Tensor]]):
         self.dataset = dataset if isinstance(dataset, Dataset) else Dataset(dataset)
         self.labels = labels
         self.observe = observe
-        self.resampled = resampled
         self.history = history
         self.horizon = horizon
         self.n_points = n_points
@@ -340,8 +336,6 @@ class WindowDataset(torch.utils.data.Dataset[dict[str, torch.Tensor]]):
         """Return points of the observation (T, P', 3), P' <= P."""
         clouds = as_ticks(episode.observed)
         few = min(self.n_points, clouds.shape[1])
-        if not self.resampled:
-            return clouds[:, :few]
         return np.array([cloud[farthest_point_sample(cloud, few, None)[0]] for cloud in clouds])
 
 

@@ -28,7 +28,6 @@ class WindowOptions(TypedDict, total=False):
 
     labels: str
     stride: Count
-    resampled: bool
 
 
 @with_config(_STRICT)
@@ -59,7 +58,7 @@ class TrainConfig:
     #: Configuration of an earlier training. Half of the windows are its windows, so that `start` is not forgotten.
     rehearse: str = ""
     options: dict[str, Any] = field(default_factory=dict)  #: keyword arguments of the model
-    #: Keyword arguments of `topokit.data.WindowDataset`: labels, stride, resampled; of a motion model stride alone.
+    #: Keyword arguments of `topokit.data.WindowDataset`: labels, stride; of a motion model stride alone.
     windows: WindowOptions = field(default_factory=WindowOptions)
     shape: Shape = field(default_factory=Shape)  #: sizes of a window
     loss: LossWeights = field(default_factory=LossWeights)  #: weights of the loss
