@@ -161,7 +161,7 @@ def test_a_model_is_not_tested_on_what_it_was_trained_on():
 
 def test_the_papers_experiment_goes_from_films_to_a_table_and_goes_on(tmp_path, monkeypatch):
     protocol = json.loads((EXPERIMENTS / "paper.json").read_text())
-    protocol["films"]["validation"] = 3
+    protocol["films"] |= {"validation": 3, "mesh": "usual"}
     training = {"learning_rate": 2e-3, "epochs": 1}  # nothing is searched for
     without = {"model": "mlp", "held_out": ["sheet"], "seeds": [0], "training": training}
     protocol["networks"]["mlp_without_sheet"] = without
@@ -195,6 +195,7 @@ def test_the_papers_experiment_goes_from_films_to_a_table_and_goes_on(tmp_path, 
     mean = table[(table["seed"] == "all") & (table["measure"] == "marked1") & (table["horizon"] == "mean")]
     shares = mean.groupby("forecaster")["share"].max()
     assert shares["seqph"] > shares["hold"]
+    assert set(table["mesh"]) == {"usual"}
 
     # A network that is trained without a garment sees none of its films, and is asked about them alone.
     dataset = Dataset(tmp_path / "films")
