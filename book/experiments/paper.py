@@ -341,7 +341,7 @@ class Experiment:
                 shape=self.shape,
                 batch=self.protocol["batch"],
                 windows_per_epoch=60_000,
-                validation_windows=100,
+                validation_windows=self.protocol["validation_windows"],
                 threads=1,
             )
             train(config, out, (windows, self.validation_windows(), _checksum(self.folder / "films", chosen)))
