@@ -26,7 +26,7 @@ import lzf
 import numpy as np
 import pytest
 from backports import zstd
-from hypothesis import given, settings
+from hypothesis import example, given, settings
 from hypothesis import strategies as st
 from numpy.lib import recfunctions
 from pypcd4 import Encoding
@@ -644,6 +644,7 @@ def test_a_cloud_of_any_bytes_is_read_or_refused(kind, tmp_path):
 
 @settings(max_examples=60, deadline=None)
 @given(st.binary(max_size=200), st.sampled_from([".ply", ".obj", ".stl", ".stream"]), st.integers(0, 200))
+@example(bytes(12) + b"\x81\x7f", ".stream", 190)  # a signalling NaN
 def test_any_mesh_and_any_stream_is_read_or_refused(tmp_path_factory, noise, suffix, at):
     """A slice of `.github/fuzz_readers.py`, without coverage to guide it."""
     whole = {".ply": PLY.encode(), ".stream": npy(ring())}.get(suffix, TRIANGLE.encode())

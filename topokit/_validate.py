@@ -29,6 +29,10 @@ def as_reals(values: Any, name: str, ragged: str = "its rows differ in length") 
         raise ValueError(f"{name} must be an array of numbers; {ragged}") from error
     if array.dtype.kind not in "biuf":
         raise WrongKindError(f"{name} must hold real numbers, not {array.dtype}")
+    if array.dtype.kind == "f":
+        missing = np.isnan(array)
+        if missing.any():
+            array = np.where(missing, array.dtype.type(np.nan), array)  # a file may hold signalling NaNs, which warn when used
     return array
 
 
