@@ -30,9 +30,10 @@ def as_reals(values: Any, name: str, ragged: str = "its rows differ in length") 
     if array.dtype.kind not in "biuf":
         raise WrongKindError(f"{name} must hold real numbers, not {array.dtype}")
     if array.dtype.kind == "f":
+        # A file may hold signalling NaNs, which warn where they are used.
         missing = np.isnan(array)
         if missing.any():
-            array = np.where(missing, array.dtype.type(np.nan), array)  # a file may hold signalling NaNs, which warn when used
+            array = np.where(missing, array.dtype.type(np.nan), array)
     return array
 
 
