@@ -287,8 +287,7 @@ def test_a_checkpoint_gives_the_model_back(tmp_path, window, name):
 def test_a_configuration_of_data_small_is_the_one_its_checkpoint_was_trained_with(name):
     described = Predictor.load(CHECKPOINTS / f"{name}.safetensors").description
     written = dataclasses.asdict(TrainConfig.load(CHECKPOINTS / f"{name}.json"))
-    elsewhere = {"dataset", "split", "workers"}  # which do not change what a training does with its windows
-    known = described["config"].keys() & written.keys() - elsewhere
+    known = described["config"].keys() & written.keys()
     assert len(known) > 12
     assert {key: written[key] for key in known} == {key: described["config"][key] for key in known}
 
