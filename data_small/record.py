@@ -8,8 +8,6 @@ episodes added to the first, and the files of these numbers:
 
     topokit generate --config data_small/dataset.json --episodes 2000 --seed 0 --out runs/dataset
     topokit generate --config book/datasets/motion.json --episodes 4000 --seed 20 --out runs/motion
-    topokit label runs/dataset
-    topokit label runs/motion
 """
 
 import subprocess

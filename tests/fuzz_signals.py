@@ -41,17 +41,13 @@ WRONG = ("Traceback", "Exception ignored", "Fatal", "Segmentation", "SystemError
 # Commands, by what they are given; those of GO_ON are given it again in the same folder.
 COMMANDS = {
     "track": "track episode.npz --plot tracks.png",
-    "live": "track --live",
     "simulate": "simulate --task sheet-hook --out new.npz",
-    "mesh": "mesh cloth.obj --plot cloth.svg",
     "hang": "hang --task sheet-hook --model carry --out hung.npz --film hung.html",
     "generate": f"generate --config tiny.json --episodes 6 --seed {SEED} --workers 2 --out made",
-    "label": "label dataset --name again --workers 2",
-    "check": "check dataset",
     "train": "train train.json --out training",
     "predict": f"predict {DATA}/checkpoints/mlp.safetensors episode.npz --json",
 }
-GO_ON = ("generate", "label", "train")
+GO_ON = ("generate", "train")
 
 # Loops of a user: what is computed again and again, after this beginning.
 LOOP = """

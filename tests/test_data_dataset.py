@@ -12,7 +12,6 @@ import pytest
 from topokit import track
 from topokit._archive import FormatError, load_archive, save_archive
 from topokit._processes import ProcessError
-from topokit.cli import main
 from topokit.data import Dataset, DatasetConfig, _jobs, _labels, check_dataset, label_dataset, make_episode
 from topokit.data._folder import Record, write_json
 from topokit.data._labels import KIND, arrays_of, states_of
@@ -246,15 +245,6 @@ def test_damage_is_refused_by_every_reader(copy):
         (copy / "dataset.json").write_text(text)
         with pytest.raises(FormatError, match=r"dataset\.json"):
             Dataset(copy)
-
-
-def test_check_answers_programs(made, copy, capsys):
-    (copy / "00000000.npz").unlink()
-    assert main(["check", str(copy), "--quiet"]) == 1
-    assert "00000000.npz" in capsys.readouterr().out
-    assert main(["check", str(made), "--json"]) == 0
-    assert json.loads(capsys.readouterr().out) == {"dataset": str(made), "problems": []}
-    assert main(["check", str(made.parent)]) == 2
 
 
 # -- splits -----------------------------------------------------------------------------------------------------------------

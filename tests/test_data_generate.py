@@ -110,7 +110,7 @@ def test_killed_in_every_way_it_goes_on(undisturbed, tmp_path, monkeypatch, star
     temporary.mkdir()
     monkeypatch.setenv("TMPDIR", str(temporary))
     arguments = ["generate", "--config", config, "--out", folder, "--episodes", str(EPISODES), "--seed", str(SEED)]
-    arguments += ["--workers", "2", "--quiet"]
+    arguments += ["--workers", "2"]
 
     process = start(*arguments)
     wait_until(lambda: episodes_in(folder) >= 1, process)
@@ -152,7 +152,7 @@ def test_a_cluster_whose_worker_is_killed_makes_the_same_bytes(undisturbed, tmp_
         address = cluster.scheduler_address
         process = start(
             *("generate", "--config", config, "--out", folder, "--episodes", str(EPISODES), "--seed", str(SEED)),
-            *("--scheduler", address, "--quiet"),
+            *("--scheduler", address),
         )
         wait_until(lambda: episodes_in(folder) >= 2, process)
         os.kill(workers[0], signal.SIGKILL)
@@ -294,7 +294,7 @@ def test_a_mesh_of_ones_own_from_a_file_to_windows(tmp_path):
     simulation = {"frames": 77, "settle": 0.05, "self_collision": False}
     own = {"version": 2, "tasks": {"bag-hook": 1}, "meshes": {"bag": bag}, "simulation": simulation, "n_observed": 48}
     config.write_text(json.dumps(own))
-    assert main(["generate", "--config", str(config), "--out", str(folder), "--episodes", "1", "--quiet"]) == 0
+    assert main(["generate", "--config", str(config), "--out", str(folder), "--episodes", "1"]) == 0
     with in_this_process():
         label_dataset(folder, options=OPTIONS, progress=False)
     mesh.unlink()

@@ -20,7 +20,6 @@ import trimesh
 from strangers import strangers
 
 import topokit as tk
-from topokit.cli import main
 from topokit.evaluate import summarise_tracks, true_loops
 from topokit.sim import TASKS, WARDROBE, Garment, Hook, Mannequin, SimulationConfig, World, task_for
 
@@ -385,7 +384,7 @@ def tube(widths: list[float], height: float) -> tuple[np.ndarray, np.ndarray]:
 Y_UP = np.array([[1, 0, 0], [0, 0, 1], [0, -1, 0]])  # z of the garment becomes y of the file
 
 
-def test_a_short_skirt_stands_by_its_hem_has_a_waist_and_is_not_hung_by_either(tmp_path, capsys):
+def test_a_short_skirt_stands_by_its_hem_and_has_a_waist(tmp_path):
     vertices, faces = tube([0.4, 0.35, 0.3, 0.25], 0.3)
     for turn in (np.eye(3), Y_UP):
         skirt = Garment.from_mesh(written(tmp_path / "m.obj", vertices @ turn.T, faces), loops="auto")
@@ -393,9 +392,6 @@ def test_a_short_skirt_stands_by_its_hem_has_a_waist_and_is_not_hung_by_either(t
         assert set(skirt.loop_names) == {"waist", "hem"}
         assert skirt.vertices[skirt.named_loops["waist"], 2].min() == pytest.approx(0.3)
         assert not any("lie" in words for words in skirt.repairs)
-    command = ["simulate", "--mesh", str(tmp_path / "m.obj"), "--task", "hook", "--out", str(tmp_path / "e.npz")]
-    assert main(command) == 2
-    assert "not hung by these" in capsys.readouterr().err
 
 
 @pytest.mark.parametrize(
@@ -422,13 +418,6 @@ def test_a_flat_garment_stands_upright_in_any_plane_and_what_is_unclear_is_asked
     vertices, faces = tube([0.25, 0.25, 0.25], 0.3)
     straight = Garment.from_mesh(written(tmp_path / "m.obj", vertices, faces), loops="auto")
     assert any("its y or its z axis" in words for words in straight.repairs)
-
-
-def test_the_command_line_says_how_far_a_mesh_is_simplified(tmp_path, capsys):
-    fine = WARDROBE["apron"](spacing=0.02)
-    path = written(tmp_path / "m.obj", fine.vertices, fine.faces)
-    assert main(["mesh", str(path), "--max-vertices", "400", "--json"]) == 0
-    assert 200 <= json.loads(capsys.readouterr().out)["vertices"] <= 400
 
 
 @pytest.mark.parametrize("name", ["vest", "apron", "backpack"])
@@ -495,17 +484,15 @@ def test_missing_faces_make_no_outline_of_a_disc_and_no_tube_of_a_ring_a_loop(tm
     assert Garment.from_mesh(path, loops="auto").loop_names == ("neck",)
 
 
-def test_an_open_front_is_reported(tmp_path, capsys):
+def test_an_open_front_is_reported(tmp_path):
     middle = VEST.vertices[VEST.faces].mean(axis=1)
     strip = (np.abs(middle[:, 0]) < 0.05) & (middle[:, 1] < 0)
     path = written(tmp_path / "waistcoat.obj", VEST.vertices, VEST.faces[~strip])
     waistcoat = Garment.from_mesh(path, loops="auto")
-    (said,) = [words for words in waistcoat.repairs if "open front" in words]
+    assert any("open front" in words for words in waistcoat.repairs)
     assert waistcoat.loop_names == ("arm 1", "arm 2")
     whole = written(tmp_path / "vest.obj", VEST.vertices, VEST.faces)
     assert not any("open front" in words for words in Garment.from_mesh(whole, loops="auto").repairs)
-    assert main(["mesh", str(path), "--json"]) == 0
-    assert said in json.loads(capsys.readouterr().out)["repairs"]
 
 
 def test_far_from_the_origin(tmp_path):

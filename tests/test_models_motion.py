@@ -396,7 +396,7 @@ def test_predict_command(tmp_path, capsys):
     MotionPredictor(model).save(path)
     assert main(["predict", str(path), str(DATA / "apron_hook_0.npz"), "--frame", "30", "--json"]) == 0
     answer = json.loads(capsys.readouterr().out)
-    assert (answer["model"], len(answer["steps"])) == ("motion", 60)
+    assert (answer["model"], answer["loops"][0]["frame"]) == ("motion", 31)
 
 
 def test_loops_are_born_in_the_moved_cloud(episode):

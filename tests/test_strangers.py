@@ -667,41 +667,13 @@ def test_a_flipped_bit_in_the_directory_of_an_archive_is_one_line(name, tmp_path
     rng = np.random.default_rng(0)
     for at in rng.integers(start, len(raw), 40).tolist():
         path.write_bytes(raw[:at] + bytes([raw[at] ^ 1 << rng.integers(8)]) + raw[at + 1 :])
-        code = main(["track", str(path), "--out", str(tmp_path / "none" / ".." / "a.jsonl"), "--unit", "m"])
+        code = main(["track", str(path), "--out", str(tmp_path / "none" / ".." / "a.jsonl")])
         captured = capsys.readouterr()
         assert code in (0, 2)
         assert code == 0 or captured.err.count("\n") == 1
 
 
 # -- the command, and people who read what it prints --------------------------------------------------------------------------
-
-
-CALLS = [
-    (["track", "pipe.npz"], "a pipe"),
-    (["track", "--unit", "m", "blind.npy"], "nothing is left of 1 frames: .* 60 at"),
-    (["generate", "--out", "s3://bucket/films", "--episodes", "1"], "s3:/bucket/films"),
-    (["simulate", "--out", "a.npz", "--seed", "-1"], "seed"),
-    (["hang", "--seed", "-1"], "seed"),
-    (["mesh", "a.obj", "--loops", "loops.json"], r"loops\['\\x1b\[31m'\]"),
-    (["mesh", "\x1b[31m.obj"], r"\\x1b\[31m.obj"),
-]
-
-
-@pytest.mark.parametrize(("arguments", "says"), CALLS, ids=[" ".join(call[0][:2]) for call in CALLS])
-def test_a_refused_call_is_one_clean_line_and_writes_nothing(arguments, says, tmp_path, monkeypatch, capsys):
-    monkeypatch.chdir(tmp_path)
-    os.mkfifo("pipe.npz")
-    np.save("blind.npy", np.zeros((60, 3)))
-    Path("a.obj").write_text(TRIANGLE)
-    Path("loops.json").write_text(json.dumps({"\x1b[31m": [0, 0.5]}))
-    before = sorted(tmp_path.rglob("*"))
-    with bounded(2**30, 60):
-        assert main(arguments) == 2
-    printed = capsys.readouterr()
-    assert printed.out == ""
-    assert re.search(says, printed.err), printed.err
-    assert printed.err[:-1].isprintable()
-    assert sorted(tmp_path.rglob("*")) == before
 
 
 def test_names_with_escapes_and_markup_do_not_reach_people(tmp_path, capsys):
@@ -716,18 +688,6 @@ def test_names_with_escapes_and_markup_do_not_reach_people(tmp_path, capsys):
     data = data[: data.index("</script>")]
     assert "<" not in data.partition(">")[2]
     assert json.loads(data.partition(">")[2])["title"].startswith(evil)
-
-
-def test_a_frame_without_points_is_a_frame_without_loops(tmp_path, capsys):
-    path = tmp_path / "film.npy"
-    np.save(path, [ring(), 0 * ring(), ring(1), ring(2)])
-    assert main(["track", str(path), "--json", "--out", str(tmp_path / "tracks.npz")]) == 0
-    answer = json.loads(capsys.readouterr().out)
-    assert (answer["frames"], answer["blind"]) == (4, 1)
-    states = load_states(answer["tracks"])
-    assert [state.frame for state in states] == [0, 1, 2, 3]
-    assert not states[1].loops
-    assert {loop.id for state in states for loop in state.loops} == {0}
 
 
 def test_a_file_is_no_garment_and_an_episode_has_a_whole_number():

@@ -433,12 +433,7 @@ def test_data_small_is_what_its_commands_record():
     ("arguments", "named"),
     [
         (["--task", "apron-moon"], "apron-moon"),
-        (["--noise"], "--noise"),  # without a camera
-        (["--cameras", "-1"], "--cameras -1"),
-        (["--observed", "100000"], "n_observed"),
-        (["--time-limit", "-1"], "time_limit"),
         (["--task", "hook"], "hook"),  # of what?
-        (["--loops", "auto"], "--mesh"),
         (["--mesh", "nowhere.obj"], "nowhere.obj"),
     ],
 )
