@@ -2,10 +2,14 @@
 
 from __future__ import annotations
 
+import importlib
 import subprocess
 import sys
+from pathlib import Path
 
 import pytest
+
+import topokit
 
 _PACKAGES = """
 bokeh dask distributed fsspec gymnasium lightning_fabric matplotlib pandas pybullet pydantic pypcd4 pyvista safetensors sklearn
@@ -17,6 +21,8 @@ loop_mixture rips_persistence rips_persistence_many track
 """
 COMPANIONS = _PACKAGES.split()
 FACE = _NAMES.split()
+FOLDER = Path(topokit.__file__).parent
+PACKAGES = ["topokit", *(f"topokit.{face.parent.name}" for face in sorted(FOLDER.glob("*/__init__.py")))]
 WITHOUT = f"import sys\nfor name in {COMPANIONS}: sys.modules[name] = None  # as where it is not installed\n"
 
 USE_ALL = """
@@ -58,6 +64,14 @@ def test_the_core_works_without_packages_of_companions(code, without, tmp_path):
 def test_the_face_of_the_library():
     done = run("import topokit; print(*topokit.__all__)")
     assert done.stdout.split() == FACE
+
+
+@pytest.mark.parametrize("package", PACKAGES)
+def test_a_package_shows_the_names_of_its_face_and_nothing_else(package):
+    module = importlib.import_module(package)
+    assert dir(module) == sorted(module.__all__)
+    assert all(getattr(module, name) is not None for name in module.__all__)
+    assert dir(module) == sorted(module.__all__)  # nothing comes with the modules that were imported
 
 
 @pytest.mark.parametrize(("name", "missing"), [("WindowDataset", "torch"), ("DatasetConfig", "pydantic")])

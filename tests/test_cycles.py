@@ -345,7 +345,6 @@ def test_tighten_takes_points_a_diagram_or_a_matrix():
         ([0, 1, 4], {}, ValueError, "vertex 4"),
         ([0, -1], {}, ValueError, "vertex -1"),
         ([0.0, 1.0], {}, TypeError, "cycle"),
-        (np.ma.array([0, 1, 2, 3], mask=[0, 0, 1, 0]), {}, ValueError, "1 masked"),
         ([[0, 1]], {}, TypeError, "cycle"),
         (np.empty(0, int), {}, ValueError, "cycle"),
         ([0, 1, 2, 3], {"radius": -1}, ValueError, "radius"),

@@ -17,7 +17,7 @@ from topokit.models import Motion, MotionPredictor, Normalisation, Scenes, Shape
 from topokit.models._motion import CARRIERS, KNOTS, UNIT, carried
 from topokit.models._motion_predictor import _corners
 from topokit.models._scenes import carriers_first, flow, scene_at, target_of
-from topokit.seqph import Frame, follow_all
+from topokit.seqph import SeqPH, follow
 
 from conftest import DATA
 from windows import RingScenes, film
@@ -406,8 +406,9 @@ def test_loops_are_born_in_the_moved_cloud(episode):
     opened = np.concatenate([ring, ring + [1, 0, 0]])
     shut = np.concatenate([ring, ring * [1, 0.01, 1] + [1, 0, 0]])
     (loop,) = tk.track([shut] * 3)[-1].loops
-    frame = Frame.without_outliers(cKDTree(opened))
-    _, (born,) = follow_all([loop], opened, frame)
+    tracker = SeqPH()
+    tracker.update(opened)
+    (born,) = (one for one in follow([loop], opened, tracker) if one.id != loop.id)
     predictor = MotionPredictor(make())
     plan, held = observed(predictor, episode)
     predictor._moved = lambda *_: (
@@ -415,7 +416,7 @@ def test_loops_are_born_in_the_moved_cloud(episode):
         np.full((1, 60, 120), 0.01),
     )
     predictor._track = lambda: None
-    predictor._loops, predictor._frame = (loop,), frame
+    predictor._loops, predictor._seqph = (loop,), tracker
     forecast = predictor.predict(plan, held, exact=(60, 10, 30))
     assert forecast.birth.shape == (60, 2)
     assert [len(forecast[step - 1]) for step in (10, 30, 60)] == [1, 2, 2]

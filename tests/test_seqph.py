@@ -4,8 +4,6 @@ from __future__ import annotations
 
 import gc
 import pickle
-import tracemalloc
-import warnings
 import weakref
 from dataclasses import replace
 
@@ -13,12 +11,11 @@ import numpy as np
 import pytest
 
 from topokit import SeqPH, TopologicalState, follow, hausdorff, rips_persistence, track
-from topokit.sampling import as_tree
-from topokit.seqph import Candidates, Frame, as_table, assign, follow_all, place
+from topokit.seqph import Candidates, assign
 
 from conftest import polygon
 
-ARC = np.vstack([polygon(20)[:16], [[3.0, 0.0]]])  # no loop
+NO_LOOP = np.vstack([polygon(20)[:16], [[3.0, 0.0]]])
 
 
 def two_circles(shift: float, growth: float = 1.0) -> np.ndarray:
@@ -48,7 +45,7 @@ def test_a_loop_holds_what_the_paper_asks_for():
     first, second = track([cloud, moved], alpha=0.2)
     diagram = rips_persistence(moved)
     assert len(second) == 2
-    for i, loop in enumerate(second.loops):
+    for i, loop in enumerate(second):
         assert (loop.birth, loop.death, loop.lifetime) == (diagram.birth[i], diagram.death[i], diagram.lifetime[i])
         assert np.isnan(first[loop.id].killer_shift)
         assert loop.killer_shift == pytest.approx(0.02)
@@ -56,18 +53,17 @@ def test_a_loop_holds_what_the_paper_asks_for():
         assert 1 <= len(loop.neighbours) <= 4
         np.testing.assert_array_equal(loop.killer_triangles, moved[loop.killer_triangle_ids])
         np.testing.assert_allclose(loop.killer_values, loop.death)
-        assert (loop.neighbour_values <= loop.death).all()
         sides = np.linalg.norm(loop.neighbours[:, :, None] - loop.neighbours[:, None], axis=-1)
         np.testing.assert_allclose(loop.neighbour_values, sides.max(axis=(1, 2)) / 2)
         assert hausdorff(loop.killer_edge_points[:1], loop.killer_edge_points[1:]) / 2 == pytest.approx(loop.death)
-        np.testing.assert_array_equal(loop.cycle, diagram.cycle(i))
         np.testing.assert_array_equal(loop.cycle_points, moved[diagram.cycle(i)])
-        assert loop.cycle is loop.cycle  # found once
-    with pytest.raises(LookupError):
-        _ = replace(loop, _curve=None).cycle
+    row = second.as_dict()
+    assert (row["frame"], row["loops"][0]["id"], row["parameters"]) == (1, 0, second.parameters)
+    assert_same(pickle.loads(pickle.dumps(second)), second)
     with pytest.raises(KeyError, match="9"):
         second[9]
-    assert len(TopologicalState(frame=0, time=0.0)) == 0
+    with pytest.raises(LookupError):
+        _ = replace(loop, _curve=None).cycle
 
 
 def test_a_loop_owns_its_arrays():
@@ -78,25 +74,6 @@ def test_a_loop_owns_its_arrays():
     np.testing.assert_array_equal(made.killer_edge, loop.killer_edge)
     with pytest.raises(ValueError, match="read-only"):
         made.killer_edge[0] = 3
-
-
-@pytest.mark.parametrize("d", [2, 3])
-def test_states_as_tables_dictionaries_and_pickles(d):
-    pandas = pytest.importorskip("pandas")
-    clouds = [np.pad(two_circles(shift), ((0, 0), (0, d - 2))) for shift in (0.0, 0.1)]
-    states = track(clouds)
-    table = as_table(states)
-    axes = {2: ["x0", "x1"], 3: ["x", "y", "z"]}[d]
-    numbers = ["frame", "time", "id", "birth", "death", "lifetime", "killer_shift"]
-    pandas.testing.assert_index_equal(table.columns, pandas.Index([*numbers, *axes, "killer_a", "killer_b"]))
-    assert table["lifetime"].tolist() == [loop.lifetime for state in states for loop in state.loops]
-    assert table.groupby("id")["frame"].count().tolist() == [2, 2]
-    assert list(as_table([]).columns[7:10]) == ["x", "y", "z"]
-
-    row = states[1].as_dict()
-    assert (row["frame"], row["loops"][0]["id"], row["parameters"]) == (1, 0, states[1].parameters)
-    assert row["loops"][1]["centre"] == states[1].loops[1].centre.tolist()
-    assert_same(pickle.loads(pickle.dumps(states[1])), states[1])
 
 
 # -- identities --------------------------------------------------------------------------------------------------------
@@ -116,22 +93,6 @@ def test_an_identity_is_never_used_again():
     blob = np.random.default_rng(0).normal(size=(5, 2)) * 0.1
     frames = [polygon(20), blob, polygon(20), polygon(20) + [50, 0]]
     assert ids(track(frames, alpha=0.3, beta=1.8, epsilon=0.1, memory=0)) == [[0], [], [1], [2]]
-
-
-@pytest.mark.parametrize("identity", ["killer-edge", "killer-triangles", "cycle"])
-def test_every_identity_follows_a_loop_that_moves(identity):
-    rng = np.random.default_rng(0)
-    clouds = [polygon(40) + rng.normal(scale=0.005, size=(40, 2)) + [0.02 * t, 0] for t in range(12)]
-    assert ids(track(clouds, alpha=0.1, beta=1.8, epsilon=0.05, identity=identity)) == [[0]] * 12
-
-
-def test_where_a_loop_is():
-    cloud = two_circles(0.0)
-    diagram = rips_persistence(cloud)
-    np.testing.assert_array_equal(place(diagram, 0, cloud, "killer-edge"), cloud[diagram.killer_edge[0]])
-    thick = cloud[diagram.killer_triangles[0, 0]].mean(axis=0)
-    np.testing.assert_array_equal(place(diagram, 0, cloud, "killer-triangles"), thick[None])
-    np.testing.assert_allclose(place(diagram, 0, cloud, "cycle"), [[0.0, 0.0]], atol=1e-12)
 
 
 def test_a_round_loop_has_a_killer_edge_that_jumps_and_a_place_that_does_not():
@@ -172,20 +133,19 @@ def test_gates_are_as_wide_as_documented(gates, change):
     after = {"birth": ring[2:], "death": 1.5 * ring, "place": ring + [0.7, 0]}[change]
     loop, moved = (track([cloud], alpha=0.05)[0].loops[0] for cloud in (ring, after))
     alpha = 0.05
-    for share, same in ((0.999, False), (1.001, True)):
+    for share, new_id in ((0.999, 1), (1.001, 0)):
         if change == "place":
             bound = 0.7 * share
             epsilon = 0.1
-            beta = {"paper": bound - 2 * alpha - epsilon, "proved": (bound - epsilon) / 2, "near": bound - epsilon}[
-                gates
-            ]
+            betas = {"paper": bound - 2 * alpha - epsilon, "proved": (bound - epsilon) / 2, "near": bound - epsilon}
+            beta = betas[gates]
         else:
             gate = share * abs(getattr(moved, change) - getattr(loop, change))
             beta = 100.0
             quarter = max(loop.death, moved.death) / 4
             epsilon = gate - {"paper": 2 * alpha, "proved": alpha, "near": alpha + quarter}[gates]
         states = track([ring, after], alpha=alpha, beta=beta, epsilon=epsilon, gates=gates)
-        assert ids(states) == [[0], [0 if same else 1]]
+        assert ids(states) == [[0], [new_id]]
 
 
 def best_matching(
@@ -204,7 +164,7 @@ def best_matching(
 
 def test_assignments_are_the_cheapest_of_the_largest_and_take_no_forbidden_pair():
     rng = np.random.default_rng(1)
-    for _ in range(200):
+    for _ in range(100):
         shape = rng.integers(1, 6, size=2)
         cost = rng.random(shape)
         for allowed in (rng.random(shape) < 0.4, None):
@@ -225,9 +185,8 @@ def test_a_match_rule_of_ones_own():
     assert ids(track(far, match=first_come, **options)) == [[0], [0]]
 
 
-@pytest.mark.parametrize("pairs", [[(0, 0), (1, 0)], [(5, 5)], [(-1, 0)], None, [0]])
-def test_a_match_rule_gives_each_loop_once_or_changes_nothing(pairs):
-    answers = [pairs, []]
+def test_a_match_rule_gives_each_loop_once_or_changes_nothing():
+    answers = [[(0, 0), (1, 0)], []]
     tracker = SeqPH(match=lambda loops: answers.pop(0))
     tracker.update(two_circles(0.0))
     with pytest.raises(ValueError, match="match"):
@@ -240,9 +199,12 @@ def test_a_match_rule_gives_each_loop_once_or_changes_nothing(pairs):
 
 def test_memory_gives_a_loop_that_was_missed_its_identity_back():
     options = {"alpha": 0.3, "beta": 1.8, "epsilon": 0.1}
-    frames = [polygon(20), ARC, ARC, polygon(20)]
+    frames = [polygon(20), NO_LOOP, NO_LOOP, polygon(20)]
     for memory, last in ((0, 1), (1, 1), (2, 0)):
         assert ids(track(frames, memory=memory, **options)) == [[0], [], [], [last]]
+        tracker = SeqPH(memory=memory, **options)
+        states = [tracker.update(frames[0]), tracker.skip(), tracker.skip(), tracker.update(frames[3])]
+        assert ids(states) == [[0], [], [], [last]]
     too_far = [*frames[:3], polygon(20) + [3.0, 0]]
     assert ids(track(too_far, memory=2, **options)) == [[0], [], [], [1]]
 
@@ -259,11 +221,11 @@ def test_a_remembered_loop_may_have_moved_in_every_frame_since():
     """Three steps of 0.1 are farther than the gates of one step allow, and not farther than those of three."""
     options = {"alpha": 0.3, "beta": 0.05, "epsilon": 0.1, "gates": "proved", "memory": 2}
     for n_missed, last in ((0, 1), (2, 0)):
-        frames = [polygon(20), *[ARC] * n_missed, polygon(20) + [0.35, 0]]
+        frames = [polygon(20), *[NO_LOOP] * n_missed, polygon(20) + [0.35, 0]]
         assert ids(track(frames, **options))[-1] == [last]
 
 
-@pytest.mark.parametrize("identity", ["killer-edge", "killer-triangles", "cycle"])
+@pytest.mark.parametrize("identity", ["killer-edge", "cycle"])
 def test_an_endless_stream_keeps_nothing(identity):
     """Every cloud but the last is released, and so is every loop that is forgotten."""
     clouds: list[weakref.ref] = []
@@ -283,21 +245,6 @@ def test_an_endless_stream_keeps_nothing(identity):
     assert sum(loop() is not None for loop in loops) <= 2 + 2 * 3  # those of the last frame and those remembered
 
 
-def test_memory_does_not_grow_along_a_stream():
-    rng = np.random.default_rng(0)
-    base = two_circles(0.0)
-    sizes = []
-    tracemalloc.start()
-    try:
-        for state in SeqPH(memory=3).stream(base + 0.01 * rng.normal(size=base.shape) for _ in range(700)):
-            if state.frame in (400, 699):  # numba's own tables are full by then
-                gc.collect()
-                sizes.append(tracemalloc.get_traced_memory()[0])
-    finally:
-        tracemalloc.stop()
-    assert sizes[1] - sizes[0] < 20_000  # 300 clouds are 170 kB
-
-
 # -- alpha, beta, epsilon ----------------------------------------------------------------------------------------------
 
 
@@ -315,7 +262,7 @@ def test_estimates_are_reported():
     assert 0 < second.parameters["epsilon"] <= 0.07 + 1e-12  # the Hausdorff distance is at most the motion
     assert second.parameters["beta"] == pytest.approx(2 * second.loops[0].death)
     assert track(clouds, alpha=0.01, loops="evidence")[0].parameters["alpha"] == 0.01
-    paper = [SeqPH.paper().update(clouds[0]), *SeqPH.paper().stream(clouds)][-1]
+    paper = list(SeqPH.paper().stream(clouds))[1]
     assert paper.parameters["epsilon"] == pytest.approx(hausdorff(*clouds))
     assert paper.parameters["beta"] == pytest.approx(2 * paper.loops[0].death)
     assert SeqPH.paper(memory=3).memory == 3
@@ -324,11 +271,6 @@ def test_estimates_are_reported():
 def test_few_points_have_no_loops():
     assert ids(track([np.zeros((1, 3)), np.zeros((3, 3)), np.ones((40, 3))])) == [[], [], []]
     assert track([]) == []
-
-
-def test_part_of_a_scene_is_not_taken_for_other_units():
-    clouds = [polygon(200), polygon(200)[:2], polygon(200)]
-    assert [state.frame for state in SeqPH().stream(clouds)] == [0, 1, 2]
 
 
 # -- streams, sequences and what a caller does with its arrays -------------------------------------------------------------
@@ -371,8 +313,8 @@ def test_repeated_points_change_nothing():
 def test_a_diagram_that_is_given_is_used_and_a_wrong_one_refused():
     tracker = SeqPH()
     ring = polygon(20)
-    for wrong, value in ((rips_persistence(ring, max_radius=0.5), "0.5"), (rips_persistence(polygon(19)), "19")):
-        with pytest.raises(ValueError, match=value):
+    for wrong in (rips_persistence(ring, max_radius=0.5), rips_persistence(polygon(19))):
+        with pytest.raises(ValueError, match="20 points, computed without max_radius"):
             tracker.update(ring, diagram=wrong)
     assert_same(tracker.update(ring, diagram=rips_persistence(ring)), track([ring])[0])
 
@@ -382,18 +324,7 @@ def test_a_diagram_that_is_given_is_used_and_a_wrong_one_refused():
 
 @pytest.mark.parametrize(
     ("option", "error"),
-    [
-        ({"alpha": -1}, ValueError),
-        ({"beta": "wide"}, TypeError),
-        ({"epsilon": True}, TypeError),
-        ({"loops": "all"}, ValueError),
-        ({"gates": "loose"}, ValueError),
-        ({"identity": "soul"}, ValueError),
-        ({"memory": -1}, ValueError),
-        ({"memory": 1.5}, ValueError),
-        ({"memory": "all"}, TypeError),
-        ({"match": 3}, TypeError),
-    ],
+    [({"alpha": -1}, ValueError), ({"beta": "wide"}, TypeError), ({"gates": "loose"}, ValueError)],
 )
 def test_bad_options_are_named(option, error):
     with pytest.raises(error, match=next(iter(option))):
@@ -406,14 +337,9 @@ def test_bad_options_are_named(option, error):
         (np.empty((0, 2)), 2.0),
         (np.zeros((9, 3)), 2.0),
         (np.zeros(9), 2.0),
-        (1000 * polygon(20), 2.0),
         (np.vstack([polygon(19), [[np.nan, 0]]]), 2.0),
         (polygon(20), 1.0),
-        (polygon(20), 0.5),
         (polygon(20), np.nan),
-        (polygon(20), None),
-        (polygon(20), np.timedelta64(1, "s")),
-        (polygon(20), np.complex128(1)),
     ],
 )
 def test_a_frame_that_cannot_follow_is_refused_and_forgotten(frame, time):
@@ -428,20 +354,11 @@ def test_a_frame_that_cannot_follow_is_refused_and_forgotten(frame, time):
         track([polygon(20), polygon(20), frame], times=[0.0, 1.0, time])
 
 
-def test_other_sequences_and_times_that_are_refused():
-    tracker = SeqPH()
-    tracker.update(polygon(20))
-    with pytest.raises(ValueError, match="frame 1 has time"):
-        tracker.update(polygon(20), time=1.0)
+def test_a_sequence_is_a_list_of_clouds_with_a_time_for_each():
     with pytest.raises(ValueError, match="shape"):
         track(polygon(20))
-    with pytest.raises(ValueError, match="round"):  # squares of distances would be 0
-        SeqPH().update([[1, k * 1e-170] for k in range(20)])
     with pytest.raises(ValueError, match="1 values for 2 frames"):
         track([polygon(20)] * 2, times=[0.0])
-    with warnings.catch_warnings():
-        warnings.simplefilter("error")
-        SeqPH(alpha=np.float32(0.01), epsilon=np.float16(0.5)).update(polygon(20), time=np.float32(1))
 
 
 # -- loops of a moved cloud --------------------------------------------------------------------------------------------
@@ -453,21 +370,26 @@ def test_followed_loops_are_those_of_the_moved_cloud():
     loops = track([cloud])[0].loops
     moved = cloud * [1, 0.9] + [0.3, 0.1]
     fresh = rips_persistence(moved)
-    for loop, i in zip(follow(loops, moved), range(2), strict=True):
+    buffer = moved.copy()
+    followed = follow(loops, buffer)
+    buffer[:] = 7
+    for loop, i in zip(followed, range(2), strict=True):
         assert (loop.id, loop.birth, loop.death) == (loops[i].id, loops[i].birth, fresh.death[i])
         np.testing.assert_array_equal(loop.killer_edge, fresh.killer_edge[i])
+        np.testing.assert_array_equal(loop.cycle_points, moved[loop.cycle])
     squashed = cloud * [1, 1e-3]
     assert follow(loops, squashed) == []
     with pytest.raises(ValueError, match="30"):
         follow(loops, moved[:30])
-    with pytest.raises(LookupError):
-        follow([replace(loops[0], _curve=None)], moved)
+    with pytest.raises(ValueError, match="3 dimensions"):
+        follow(loops, np.zeros((36, 3)))
 
 
 def test_a_loop_is_born_where_a_moved_cloud_has_evidence_for_it():
     opened = two_circles(0.0)
     (left,) = (loop for loop in track([opened])[0].loops if loop.centre[0] < 2)
-    followed, born = follow_all([left], opened, Frame.without_outliers(as_tree(opened)))
-    assert [loop.id for loop in followed] == [left.id]
-    assert [(loop.id, round(loop.centre[0])) for loop in born] == [(left.id + 1, 4)]
-    assert follow_all([left], opened)[1] == []
+    for tracker in (SeqPH(), SeqPH(alpha=0.2)):
+        tracker.update(opened)
+        followed = follow([left], opened, tracker)
+        assert [(loop.id, round(loop.centre[0])) for loop in followed] == [(left.id, 0), (left.id + 1, 4)]
+    assert [loop.id for loop in follow([left], opened)] == [left.id]

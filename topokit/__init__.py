@@ -19,4 +19,4 @@ if TYPE_CHECKING:
     from .seqph import Loop, SeqPH, TopologicalState, follow, track
 
 __version__ = "0.3.0"
-__getattr__, __all__ = attach(__name__, __file__)  # so that the command hears Ctrl-C before NumPy is imported
+__getattr__, __dir__, __all__ = attach(__name__, __file__)

@@ -19,8 +19,8 @@ def shown(path: str) -> dict[str, str]:
     return {alias.name: node.module or "" for node in imports for alias in node.names}
 
 
-def attach(package: str, path: str, extra: str = "") -> tuple[Callable[[str], Any], list[str]]:
-    """Return the `__getattr__` and the `__all__` of the package with the face `path`.
+def attach(package: str, path: str, extra: str = "") -> tuple[Callable[[str], Any], Callable[[], list[str]], list[str]]:
+    """Return the `__getattr__`, the `__dir__` and the `__all__` of the package with the face `path`.
 
     When a dependency is missing, the error names the command that installs it: ``pip install 'topokit[extra]'``.
     """
@@ -46,4 +46,5 @@ def attach(package: str, path: str, extra: str = "") -> tuple[Callable[[str], An
         setattr(sys.modules[package], name, value)  # the next time Python finds it without asking here
         return value
 
-    return __getattr__, sorted(module_of)
+    names = sorted(module_of)
+    return __getattr__, lambda: names, names

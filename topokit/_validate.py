@@ -1,7 +1,7 @@
 """Checks that turn bad input into an error that says what was wrong, where, and what to do."""
 
-import sys
 from collections.abc import Sequence
+from numbers import Real
 from typing import Any
 
 import numpy as np
@@ -15,25 +15,11 @@ class WrongKindError(TypeError, ValueError):
     """An argument of the wrong kind: a `TypeError` of ours, which the command line tells from a mistake in the code."""
 
 
-def as_reals(values: Any, name: str, ragged: str = "its rows differ in length") -> NDArray[Any]:
-    """Return an array of real numbers; a masked entry is an error, because NumPy would use the number under the mask."""
-    parts = values if isinstance(values, (list, tuple)) else [values]
-    for part in parts:
-        if np.ma.is_masked(part):
-            count = np.ma.getmaskarray(part).sum()
-            raise ValueError(f"{name} has {count} masked entries: leave them out, or give {name}.filled(value)")
-
-    try:
-        array = np.asarray(values)
-    except ValueError as error:  # nested lists of unequal length
-        raise ValueError(f"{name} must be an array of numbers; {ragged}") from error
+def as_reals(values: Any, name: str) -> NDArray[Any]:
+    """Return an array of real numbers."""
+    array = np.asarray(values)
     if array.dtype.kind not in "biuf":
         raise WrongKindError(f"{name} must hold real numbers, not {array.dtype}")
-    if array.dtype.kind == "f":
-        # A file may hold signalling NaNs, which warn where they are used.
-        missing = np.isnan(array)
-        if missing.any():
-            array = np.where(missing, array.dtype.type(np.nan), array)
     return array
 
 
@@ -52,9 +38,7 @@ def as_points(
         question = f"{name} has {n} rows and {d} columns: are they {d} points in {n} dimensions? Then give {name}.T"
         raise ValueError(f"{question}, one row a point; if not, there is no loop: fewer than four points have none")
 
-    # A number of longer floating point may overflow here. It becomes infinite, and the next check names it.
-    with np.errstate(over="ignore"):
-        array = np.array(array, dtype=np.float64, order="C", copy=copy or None)
+    array = np.array(array, dtype=np.float64, order="C", copy=copy or None)
     finite = np.isfinite(array)
     if not finite.all():
         bad = np.flatnonzero(~finite.all(axis=1))
@@ -81,27 +65,18 @@ def as_sequence(
     return clouds
 
 
-def _is_number(value: object) -> bool:
+def _is_number(value: Any) -> bool:
     """Return True for Python's and NumPy's real numbers; a truth value is none."""
-    if isinstance(value, (bool, np.bool_)):
-        return False
-    return isinstance(value, (int, float, np.integer, np.floating))
+    return isinstance(value, Real) and not isinstance(value, bool)
 
 
 def positive(value: float, name: str, *, zero: bool = True, infinite: bool = False) -> float:
     """Return `value` as a float, or raise an error unless it is a (finite) number that is not negative."""
     if not _is_number(value):
         raise WrongKindError(f"{name} must be a number, not {value!r}")
-
-    # A whole number or a long double beyond the range of float64 counts as infinite.
-    exact = value.item() if isinstance(value, np.generic) else value
-    number = float("inf") if exact > 0 else float("-inf")
-    if not abs(exact) > sys.float_info.max:
-        number = float(exact)
-
-    too_small = number < 0 or (number == 0 and not zero)
-    too_large = np.isinf(number) and not infinite
-    if np.isnan(number) or too_small or too_large:
+    number = float(value)
+    large_enough = number >= 0 if zero else number > 0
+    if not large_enough or (np.isinf(number) and not infinite):
         bound = "zero or more" if zero else "more than zero"
         if not infinite:
             bound += " and finite"

@@ -175,7 +175,7 @@ def _direction(vector: ArrayLike, name: str) -> Array:
 
 def _batch(curves: ArrayLike, name: str) -> Array:
     """Return curves as (B, n, 3): a single curve is a batch of one."""
-    array = as_reals(curves, name, f"the curves of {name} must have equally many corners; link others alone")
+    array = as_reals(curves, name)
     if array.ndim == 2:
         return as_points(array, name)[None]
     if array.ndim != 3 or not len(array):

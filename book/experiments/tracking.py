@@ -29,6 +29,7 @@ from tables import draw_episodes, write_results
 import topokit as tk
 from topokit.evaluate import Overlap, TrackingScore, TrueLoops, compare, distance_to_hull, events, score, true_loops
 from topokit.io import Episode, load_episode, save_episode, save_states
+from topokit.linking import curve_centroid
 from topokit.sensors import CloudMemory
 from topokit.seqph import PAPER as PAPERS
 from topokit.sim import TASKS, Randomisation, SimulationError, simulate
@@ -215,6 +216,15 @@ def places(
     }
 
 
+def place_of(diagram: tk.Diagram, bar: int, cloud: np.ndarray, identity: str) -> np.ndarray:
+    """Return the place (p, 3) of a loop, for one of the identities of `topokit.SeqPH`."""
+    if identity == "killer-edge":
+        return cloud[diagram.killer_edge[bar]]
+    if identity == "killer-triangles":
+        return cloud[diagram.killer_triangles[bar, 0]].mean(axis=0, keepdims=True)
+    return curve_centroid(cloud[diagram.cycle(bar)])[None]
+
+
 def jumps(clouds: Clouds, diagrams: list[tk.Diagram], truth: list[TrueLoops]) -> dict[str, list[int]]:
     """Return for each place of a loop the steps, and the steps in which it jumped by more than half the killer edge's length.
 
@@ -228,7 +238,7 @@ def jumps(clouds: Clouds, diagrams: list[tk.Diagram], truth: list[TrueLoops]) ->
             now: dict[int, np.ndarray] = {}
             for loop in np.flatnonzero(true.present).tolist():
                 i = int(np.flatnonzero((diagram.killer_edge == true.killers[loop]).all(axis=1))[0])
-                now[loop] = tk.seqph.place(diagram, i, cloud, identity) - true.centres[loop]
+                now[loop] = place_of(diagram, i, cloud, identity) - true.centres[loop]
                 if loop in before:
                     steps += 1
                     far += tk.hausdorff(now[loop], before[loop]) > diagram.death[i]

@@ -12,4 +12,4 @@ if TYPE_CHECKING:
     from ._sklearn import LoopFeatures
     from ._torch import births_and_deaths
 
-__getattr__, __all__ = attach(__name__, __file__, "learn,sensors")
+__getattr__, __dir__, __all__ = attach(__name__, __file__, "learn,sensors")

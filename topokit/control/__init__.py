@@ -11,4 +11,4 @@ if TYPE_CHECKING:
     from ._servo import Controller, Servo
     from ._thrower import ThrowController
 
-__getattr__, __all__ = attach(__name__, __file__, "sim")
+__getattr__, __dir__, __all__ = attach(__name__, __file__, "sim")

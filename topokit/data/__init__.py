@@ -15,4 +15,4 @@ if TYPE_CHECKING:
     from ._recipe import DatasetConfig, MeshFile, make_episode
     from ._windows import WindowDataset
 
-__getattr__, __all__ = attach(__name__, __file__, "data,sim,learn")
+__getattr__, __dir__, __all__ = attach(__name__, __file__, "data,sim,learn")

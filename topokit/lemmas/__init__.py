@@ -19,4 +19,4 @@ if TYPE_CHECKING:
     from ._measures import beta_all, beta_critical, feature_separation
     from ._step import Check, Verdict, distortion, max_displacement, vertex_ids
 
-__getattr__, __all__ = attach(__name__, __file__)
+__getattr__, __dir__, __all__ = attach(__name__, __file__)

@@ -19,4 +19,4 @@ if TYPE_CHECKING:
     from ._states import LossWeights, StateTensors, forecast_loss, loop_mixtures
     from ._training import train
 
-__getattr__, __all__ = attach(__name__, __file__, "learn")
+__getattr__, __dir__, __all__ = attach(__name__, __file__, "learn")

@@ -13,7 +13,7 @@ from scipy.spatial import cKDTree
 
 from topokit._validate import as_points
 from topokit.sampling import inliers
-from topokit.seqph import Frame, Loop, SeqPH, belief_after, follow_all
+from topokit.seqph import Loop, SeqPH, follow
 
 from ._motion import KNOTS, PAST, Codes, Motion, world
 from ._predictor import Array, Forecast, Predictor, as_cloud, as_grippers
@@ -49,8 +49,6 @@ class MotionPredictor(Predictor):
         self._loops: tuple[Loop, ...] = ()
         self._untracked: deque[NDArray[np.float64]] = deque(maxlen=_UNTRACKED)
         self._codes: dict[bytes, Codes] = {}
-        self._last_frame: Frame | None = None  # the last cloud, which the next one has to follow
-        self._number = 0
 
     def _take(self, cloud: NDArray[np.float64], grippers: Any, held: bool, target: Any) -> None:
         place = as_grippers(grippers)
@@ -59,13 +57,7 @@ class MotionPredictor(Predictor):
             if line.shape[1] != 3:
                 raise ValueError(f"target must be an (L, 3) array, not of shape {line.shape}")
             self._target = line
-        tree = cKDTree(cloud)
-        frame = Frame.without_outliers(tree)
-        if self._last_frame is not None:
-            frame.check_follows(self._last_frame, self._number)
-        self._last_frame = frame
-        self._number += 1
-        self._clouds.append(tree)
+        self._clouds.append(cKDTree(cloud))
         self._untracked.append(cloud)
         self._hands.append(place)
         self._held = held
@@ -107,7 +99,7 @@ class MotionPredictor(Predictor):
             scales = scales[:, :, ids.ravel()]
         corners = places.reshape(*places.shape[:2], len(ids), 8, 3)
         scales = scales.reshape(*places.shape[:2], len(ids), 8)
-        forecast = _forecast(corners, scales, self._loops, self._frame)
+        forecast = _forecast(corners, scales, self._loops, self._seqph)
         if np.ndim(actions) == 4:
             return forecast
         forecast = forecast.plan(0)
@@ -120,7 +112,7 @@ class MotionPredictor(Predictor):
         padded = [np.pad(part, [(0, 0), (0, n_free)] + [(0, 0)] * (part.ndim - 2)) for part in vars(forecast).values()]
         forecast = Forecast(*padded)
         for step in sorted(exact):
-            _read_loops(forecast, step, loops, len(ids), cloud_places[step - 1], cloud_scales[step - 1], self._frame)
+            _read_loops(forecast, step, loops, len(ids), cloud_places[step - 1], cloud_scales[step - 1], self._seqph)
         return Forecast(*(part[:, : len(loops)] for part in vars(forecast).values()))
 
     @torch.inference_mode()
@@ -148,7 +140,6 @@ class MotionPredictor(Predictor):
         """Track the loops of the clouds observed since; a forecast of points alone does not need them."""
         while self._untracked:
             self._loops = self._seqph.update(self._untracked.popleft()).loops[: self.model.shape.slots]
-            self._frame: Any = self._seqph._before  # the one that this was
 
     def _moved(self, actions: ArrayLike, held: ArrayLike | None, points: Any) -> tuple[Array, Array]:
         """Return (C, 60, n, 3) places and (C, 60, n) scales of some points, or of the last cloud's."""
@@ -216,7 +207,7 @@ def _corners(loop: Loop) -> tuple[list[int], list[bool]]:
     return corners + apexes, present
 
 
-def _forecast(corners: Array, scales: Array, loops: Sequence[Loop], frame: Frame) -> Forecast:
+def _forecast(corners: Array, scales: Array, loops: Sequence[Loop], seqph: SeqPH) -> Forecast:
     """Return the states (C, 60, S) of tracked loops whose corners (C, 60, S, 8, 3) are moved, with errors of these scales."""
     edges = corners[..., :2, :]  # (C, 60, S, 2, 3) the killer edges
     present_edges = np.array([loop.killer_edge_points for loop in loops], np.float32).reshape(-1, 2, 3)
@@ -235,7 +226,7 @@ def _forecast(corners: Array, scales: Array, loops: Sequence[Loop], frame: Frame
         birth=birth,
         death=death,
         killer_shift=shift,
-        presence=_presence(birth, death, np.arange(1, KNOTS[-1] + 1)[:, None], frame),
+        presence=_presence(birth, death, np.arange(1, KNOTS[-1] + 1)[:, None], seqph),
         noise=_noise(death, scales),
     )
 
@@ -245,12 +236,11 @@ def _noise(death: Array | float, scales: Array) -> Array:
     return np.asarray(NOISE + np.square(death) + 4 * (scales**2).mean(axis=-1))
 
 
-def _presence(birth: ArrayLike, death: ArrayLike, ahead: ArrayLike, frame: Frame) -> Array:
-    """Return the probability that the tracker counts loops as present so many frames ahead, by its evidence and its memory."""
+def _presence(birth: ArrayLike, death: ArrayLike, ahead: ArrayLike, seqph: SeqPH) -> Array:
+    """Return the probability that the tracker counts loops as present so many frames ahead."""
     start = np.asarray(birth, np.float64)
     end = np.maximum(start, np.asarray(death, np.float64))
-    log_odds = frame.loop_evidence(start, end) + belief_after(np.asarray(ahead, np.float64))
-    return np.asarray(1 / (1 + np.exp(-log_odds)), np.float32)
+    return seqph.presence(start, end, ahead).astype(np.float32)
 
 
 def _neighbour_values(corners: Array) -> Array:
@@ -261,11 +251,12 @@ def _neighbour_values(corners: Array) -> Array:
 
 
 def _read_loops(
-    forecast: Forecast, step: int, loops: list[Loop], n_tracked: int, cloud: Array, scales: Array, frame: Frame
+    forecast: Forecast, step: int, loops: list[Loop], n_tracked: int, cloud: Array, scales: Array, seqph: SeqPH
 ) -> None:
     """Write into a forecast what is read off the moved cloud at one of its steps; loops born there are added to the list."""
-    followed, born = follow_all(loops, cloud, frame)
-    found = {loop.id: loop for loop in followed + born}
+    found = {loop.id: loop for loop in follow(loops, cloud, seqph)}
+    known_ids = {loop.id for loop in loops}
+    born = [loop for loop in found.values() if loop.id not in known_ids]
     loops += born[: forecast.birth.shape[1] - len(loops)]
     row = step - 1
     for slot, loop in enumerate(loops):
@@ -281,4 +272,4 @@ def _read_loops(
         forecast.noise[row, slot] = _noise(now.death, scales[ids])
         # The tracker remembers a loop that it has seen; one that is born there it has not.
         ahead = float(step) if slot < n_tracked else np.inf
-        forecast.presence[row, slot] = _presence(now.birth, now.death, ahead, frame)
+        forecast.presence[row, slot] = _presence(now.birth, now.death, ahead, seqph)

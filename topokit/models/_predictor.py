@@ -219,8 +219,8 @@ class Predictor:
         Raises
         ------
         ValueError
-            When an array has another shape or holds a value that is not finite, the model needs the grippers, or the cloud
-            seems to be in another unit than the one before. The frame is then not taken in.
+            When an array has another shape or holds a value that is not finite, or the model needs the grippers. The frame is
+            then not taken in.
         """
         self._take(as_cloud(points), grippers, bool(held), target)
 

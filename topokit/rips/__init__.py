@@ -12,4 +12,4 @@ if TYPE_CHECKING:
     from ._diagram import Diagram, tighten
     from ._persistence import rips_persistence, rips_persistence_many
 
-__getattr__, __all__ = attach(__name__, __file__)
+__getattr__, __dir__, __all__ = attach(__name__, __file__)

@@ -12,4 +12,4 @@ if TYPE_CHECKING:
     from ._memory import CloudMemory
     from ._pipeline import Cleaner, Pipeline
 
-__getattr__, __all__ = attach(__name__, __file__, "sensors")
+__getattr__, __dir__, __all__ = attach(__name__, __file__, "sensors")

@@ -11,11 +11,9 @@ from typing import TYPE_CHECKING
 from topokit._lazy import attach
 
 if TYPE_CHECKING:
-    from ._evidence import belief_after
-    from ._follow import follow, follow_all
-    from ._frames import Frame
+    from ._follow import follow
     from ._matching import Candidates, assign
-    from ._state import Loop, TopologicalState, as_table
-    from ._tracker import PAPER, SeqPH, place, track
+    from ._state import Loop, TopologicalState
+    from ._tracker import PAPER, SeqPH, track
 
-__getattr__, __all__ = attach(__name__, __file__)
+__getattr__, __dir__, __all__ = attach(__name__, __file__)

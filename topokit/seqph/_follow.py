@@ -9,7 +9,7 @@ Source: the elder rule for given cycles is that of `Diagram.killers_of`. Taught 
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Sequence
+from collections.abc import Iterable
 from dataclasses import replace
 
 import numpy as np
@@ -18,11 +18,11 @@ from numpy.typing import ArrayLike
 from topokit._validate import as_points
 from topokit.rips import rips_persistence
 
-from ._frames import Frame
 from ._state import Loop, loop_at
+from ._tracker import SeqPH
 
 
-def follow(loops: Iterable[Loop], cloud: ArrayLike) -> list[Loop]:
+def follow(loops: Iterable[Loop], cloud: ArrayLike, tracker: SeqPH | None = None) -> list[Loop]:
     """Return the loops where the same points are now, those that are still there, longest lifetime first.
 
     A loop keeps its identity. It also keeps its birth, because birth measures the sampling and not the motion. Its new death is
@@ -36,6 +36,9 @@ def follow(loops: Iterable[Loop], cloud: ArrayLike) -> list[Loop]:
         Tracked, so that they have cycles; a state is one.
     cloud : (n, d) array_like
         The points of the cloud that the loops were found in, in their order, moved.
+    tracker : SeqPH, optional
+        The tracker whose last cloud has moved. Points that it left out are left out. Loops that are born in the moved cloud, by
+        the evidence of the tracker, are returned too, with identities of their own.
 
     Raises
     ------
@@ -53,55 +56,37 @@ def follow(loops: Iterable[Loop], cloud: ArrayLike) -> list[Loop]:
     >>> [round(loop.death, 2) for loop in tk.follow(loops, ring * [1, 0.8])]
     [0.79]
     """
-    return follow_all(list(loops), cloud)[0]
-
-
-def follow_all(loops: Sequence[Loop], cloud: ArrayLike, frame: Frame | None = None) -> tuple[list[Loop], list[Loop]]:
-    """Return what `follow` returns, and the loops that are born in the moved cloud, longest lifetime first.
-
-    Parameters
-    ----------
-    loops : sequence of Loop
-    cloud : (n, d) array_like
-    frame : Frame, optional
-        Which points of the cloud count, and which bars of them are loops. No loop is born when it is not given.
-
-    Raises
-    ------
-    ValueError, LookupError
-        As `follow` does.
-    """
+    loops = list(loops)
     points = as_points(cloud, "cloud", copy=True)
     d = points.shape[1]
-    known = len(loops[0].centre) if loops else d
-    if d != known:
-        raise ValueError(f"cloud has {d} dimensions, and the loops have {known}")
-    cycles = [loop.cycle for loop in loops]
-    last = max((int(cycle.max()) for cycle in cycles), default=-1)
-    if last >= len(points):
-        raise ValueError(f"a loop goes through point {last}, and the cloud has {len(points)}: give all, in their order")
+    for loop in loops:
+        if len(loop.centre) != d:
+            raise ValueError(f"cloud has {d} dimensions, and the loops have {len(loop.centre)}")
+        last = loop.cycle.max()
+        if last >= len(points):
+            raise ValueError(
+                f"a loop goes through point {last}, and the cloud has {len(points)}: give all, in their order"
+            )
 
     # The bar of a loop is the bar whose killer edge ends the class of the loop's cycle.
-    ids = np.arange(len(points)) if frame is None else frame.ids
+    ids = np.arange(len(points)) if tracker is None else tracker.frame.ids
     diagram = rips_persistence(points[ids])
     bar_of_edge = {(a, b): bar for bar, (a, b) in enumerate(diagram.killer_edge.tolist())}
-    cycles_in_diagram = [np.searchsorted(ids, cycle) for cycle in cycles]
+    cycles_in_diagram = [np.searchsorted(ids, loop.cycle) for loop in loops]
     bars = [bar_of_edge.get((a, b)) for a, b in diagram.killers_of(cycles_in_diagram).tolist()]
 
-    followed = []
+    loops_now = []
     for loop, bar in zip(loops, bars, strict=True):
         if bar is not None and diagram.death[bar] > loop.birth:
             moved = loop_at(diagram, bar, points, ids, loop.id, loop.killer_edge_points)
-            followed.append(replace(moved, birth=loop.birth))
-    followed.sort(key=lambda loop: -loop.lifetime)
+            loops_now.append(replace(moved, birth=loop.birth))
 
-    # A loop is born where the frame has evidence for a bar that ends none of the classes.
-    born: list[Loop] = []
-    if frame is not None:
-        evidence = frame.diagram_evidence(diagram)
-        identity = max((loop.id for loop in loops), default=-1)
+    # A loop is born where the tracker has evidence for a bar that ends none of the classes.
+    if tracker is not None:
+        evidence = tracker.evidence(diagram)
+        next_id = max((loop.id for loop in loops), default=-1) + 1
         for bar in np.argsort(-diagram.lifetime).tolist():
             if evidence[bar] > 0 and bar not in bars:
-                identity += 1
-                born.append(loop_at(diagram, bar, points, ids, identity, None))
-    return followed, born
+                loops_now.append(loop_at(diagram, bar, points, ids, next_id, None))
+                next_id += 1
+    return sorted(loops_now, key=lambda loop: -loop.lifetime)

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import operator
 from collections.abc import Callable, Iterable
 from dataclasses import dataclass
 
@@ -26,7 +25,7 @@ class Candidates:
     known_places: Array  #: (m, p, d) places of the known loops
     motion: Array  #: (m,) largest motion of the scene since each was last found, the sum of the steps' epsilon
     alpha: float  #: the alpha of this step
-    beta: float | Array  #: the beta of this step, or (n, m) the beta of each pair
+    beta: Array  #: (n, m) the beta of each pair
 
     def changes(self) -> tuple[Array, Array]:
         """Return the changes of birth and of death, each (n, m), between every found loop and every known one."""
@@ -41,9 +40,6 @@ class Candidates:
         ----------
         found, known : lists of int
         """
-        beta = self.beta
-        if np.ndim(beta) == 2:
-            beta = np.asarray(beta)[np.ix_(found, known)]
         return Candidates(
             birth=self.birth[found],
             death=self.death[found],
@@ -53,7 +49,7 @@ class Candidates:
             known_places=self.known_places[known],
             motion=self.motion[known],
             alpha=self.alpha,
-            beta=beta,
+            beta=self.beta[np.ix_(found, known)],
         )
 
 
@@ -88,7 +84,7 @@ def assign(cost: ArrayLike, allowed: NDArray[np.bool_] | None = None) -> list[tu
 
 def within_gates(gates: str, loops: Candidates) -> list[tuple[int, int]]:
     """Return the matching of least total distance of places, with births, deaths and places within their gates."""
-    births, deaths = loops.changes()
+    birth_changes, death_changes = loops.changes()
     distance = hausdorff_table(loops.places, loops.known_places)
     alpha = loops.alpha
     beta = loops.beta
@@ -104,30 +100,15 @@ def within_gates(gates: str, loops: Candidates) -> list[tuple[int, int]]:
     else:  # "near": killers of cloth jump, so death may change by more, and counts in the cost
         gate = alpha + epsilon + np.maximum(loops.death[:, None], loops.known_death) / 4
         bound = beta + epsilon
-        cost = distance + deaths
-    return assign(cost, (births < gate) & (deaths < gate) & (distance < bound))
+        cost = distance + death_changes
+    return assign(cost, (birth_changes < gate) & (death_changes < gate) & (distance < bound))
 
 
-def lost_nearby(loops: Candidates) -> list[tuple[int, int]]:
-    """Return the matching of new loops with lost ones, of least total distance, of those whose places are within 2 beta.
+def match_leaps(loops: Candidates) -> list[tuple[int, int]]:
+    """Return the matching of loops without a name and missed loops, of least total distance, of places within 2 beta.
 
-    A killer that leaps along an opening leaves its gate, so that the loop is lost and found as a new one. Each of the two killers
-    is within beta of the loop.
+    A killer that leaps along an opening leaves its gate, so that its loop is missed and found as a new one. Each of the two
+    killers is within beta of the loop.
     """
     distance = hausdorff_table(loops.places, loops.known_places)
     return assign(distance, distance < 2 * loops.beta)
-
-
-def check_pairs(pairs: object, n_found: int, n_known: int) -> list[tuple[int, int]]:
-    """Return the checked pairs of a match rule, or raise ValueError when they are no matching."""
-    try:
-        checked = [(operator.index(i), operator.index(j)) for i, j in pairs]  # type: ignore[attr-defined]
-        in_range = all(0 <= i < n_found and 0 <= j < n_known for i, j in checked)
-        once = all(len(set(side)) == len(side) for side in zip(*checked, strict=True))
-        is_matching = in_range and once
-    except TypeError:
-        is_matching = False
-    if not is_matching:
-        expected = f"pairs of one of {n_found} found and one of {n_known} known loops, each once"
-        raise ValueError(f"match must return {expected}, not {pairs!r}")
-    return checked

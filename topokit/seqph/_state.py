@@ -8,7 +8,7 @@ Source: Antonova et al. 2021, section 4 (the zeta_l of Algorithm 1). Taught in c
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterable, Iterator
+from collections.abc import Callable, Iterator
 from dataclasses import dataclass, field
 from functools import cached_property, partial
 from typing import Any
@@ -185,23 +185,3 @@ class TopologicalState:
                 row[name] = getattr(loop, name).tolist()
             loops.append(row)
         return {"frame": self.frame, "time": self.time, "parameters": dict(self.parameters), "loops": loops}
-
-
-def as_table(states: Iterable[TopologicalState]) -> Any:
-    """Return tracked states as a `pandas.DataFrame`, a row for every loop of every frame.
-
-    Columns are frame, time, id, birth, death, lifetime, killer_shift, the centre (x, y, z, or x0 to x[d-1] when d is not 3)
-    and the killer edge's vertex ids (killer_a, killer_b). It needs pandas, which the core does not install.
-    """
-    import pandas as pd
-
-    numbers = ("id", "birth", "death", "lifetime", "killer_shift")
-    axes = ["x", "y", "z"]
-    rows = []
-    for state in states:
-        for loop in state.loops:
-            if len(loop.centre) != 3:
-                axes = [f"x{i}" for i in range(len(loop.centre))]
-            values = [getattr(loop, name) for name in numbers]
-            rows.append([state.frame, state.time, *values, *loop.centre.tolist(), *loop.killer_edge.tolist()])
-    return pd.DataFrame(rows, columns=["frame", "time", *numbers, *axes, "killer_a", "killer_b"])

@@ -25,9 +25,9 @@ from topokit.linking import curve_centroid
 from topokit.rips import Diagram, rips_persistence, rips_persistence_many
 from topokit.sampling import as_tree, hausdorff
 
-from ._evidence import MISSED, WEAKEST, believe
-from ._frames import Frame, check_diagram, check_follows, check_time
-from ._matching import Candidates, MatchRule, check_pairs, lost_nearby, within_gates
+from ._evidence import EvidenceRule
+from ._frames import Frame
+from ._matching import Candidates, MatchRule, match_leaps, within_gates
 from ._state import TopologicalState, loop_at
 
 if TYPE_CHECKING:
@@ -38,9 +38,11 @@ PAPER: Mapping[str, Any] = MappingProxyType(
 )
 """The options of `SeqPH` that make it the paper's tracker, rule for rule: ``SeqPH.paper()``, ``track(clouds, **PAPER)``."""
 
-_LOOPS = ("evidence", "alpha")
-_GATES = ("paper", "proved", "near")
-_IDENTITIES = ("killer-edge", "killer-triangles", "cycle")
+CHOICES = {
+    "loops": ("evidence", "alpha"),
+    "gates": ("paper", "proved", "near"),
+    "identity": ("killer-edge", "killer-triangles", "cycle"),
+}
 
 
 @dataclass(frozen=True, eq=False)
@@ -83,7 +85,7 @@ class SeqPH:
     gates : {"near", "proved", "paper"}
         Largest changes of birth, death and place for the same loop. "near": ``alpha + epsilon`` and a quarter of the larger
         death for birth and for death, and ``beta + epsilon`` with the beta of this pair for the place. With evidence, a loop
-        that would get a new identity takes that of a lost loop within ``2 beta``, if there is one. "proved": the bounds of the
+        that would get a new identity takes that of a missed loop within ``2 beta``, if there is one. "proved": the bounds of the
         proofs, ``alpha + epsilon`` and ``2 beta + epsilon``. "paper": ``2 alpha + epsilon`` and ``2 alpha + beta + epsilon``.
     identity : {"killer-edge", "killer-triangles", "cycle"}
         Place of a loop. In the paper it is the two ends of the killer edge, compared by Hausdorff distance. On a nearly
@@ -132,21 +134,18 @@ class SeqPH:
         self.gates = gates
         self.identity = identity
         self.memory = whole(memory, "memory")
-        for name, choices in (("loops", _LOOPS), ("gates", _GATES), ("identity", _IDENTITIES)):
+        for name, choices in CHOICES.items():
             if getattr(self, name) not in choices:
                 raise ValueError(f"{name} must be one of {choices}, not {getattr(self, name)!r}")
-        self._finds_lost = match is None and gates == "near" and loops == "evidence"
-        if match is None:
-            match = partial(within_gates, gates)
-        if not callable(match):
-            raise TypeError(f"match must be a function of `Candidates`, not {match!r}")
-        self._match = match
+        self._rule = EvidenceRule()
+        self._match = match or partial(within_gates, gates)
+        self._matches_leaps = match is None and gates == "near" and loops == "evidence"
 
         # The memory from frame to frame.
+        self._last_frame: Frame | None = None
         self._number = 0  # number of the next frame
+        self._seconds = -np.inf  # time of the last frame
         self._next_id = 0
-        self._before: Frame | None = None
-        self._time_before: float | None = None
         self._known: list[Known] = []
 
     @classmethod
@@ -180,20 +179,22 @@ class SeqPH:
 
         Raises
         ------
-        TypeError, ValueError
-            When the cloud has no point (call `skip`), a NaN, or another dimension than the one before; when its time is missing
-            or not later than the last; when both its extent and its spacing differ from those of the last frame by a factor
-            above 20, so that it seems to be in another unit; when the diagram has another number of points.
+        ValueError
+            When the cloud has no point (call `skip`), a NaN, or another dimension than the one before; when its time is not
+            later than the last; when the diagram has another number of points, or a loop that does not die.
         """
         tree = as_tree(points, f"frame {self._number}", copy=True)
+        dimension = None if self._last_frame is None else self._last_frame.tree.m
+        seconds = check_frame(self._number, tree.data, time, self._seconds, dimension)
         frame = self._frame(tree)
-        check_follows(self._number, frame, time, self._before, self._time_before)
         if diagram is None:
             diagram = rips_persistence(tree.data[frame.ids])
+        elif diagram.n_points != tree.n or np.isinf(diagram.death).any():
+            needed = f"{tree.n} points, computed without max_radius"
+            raise ValueError(f"frame {self._number} needs a diagram of its {needed}, not {diagram!r}")
         else:
-            check_diagram(self._number, diagram, tree.n)
             frame = replace(frame, ids=np.arange(tree.n))
-        return self._advance(tree.data, frame, diagram, time)
+        return self._advance(tree.data, frame, diagram, seconds)
 
     def skip(self, *, time: float | None = None) -> TopologicalState:
         """Take a frame in which nothing was seen, and return its state without loops; known loops are remembered.
@@ -203,12 +204,13 @@ class SeqPH:
         time : float, optional
             Time in seconds, as in `update`.
         """
-        check_time(self._number, time, self._time_before)
-        kept = [loop.carried(0.0, self.epsilon or 0.0) for loop in self._known]
-        parameters = {"alpha": self.alpha or 0.0, "beta": self.beta or 0.0, "epsilon": self.epsilon or 0.0}
-        state = TopologicalState(self._number, float(self._number if time is None else time), (), parameters)
-        self._known = [loop for loop in kept if loop.missed <= self.memory]
-        self._time_before = time
+        seconds = check_time(self._number, time, self._seconds)
+        epsilon = self.epsilon or 0.0
+        parameters = {"alpha": self.alpha or 0.0, "beta": self.beta or 0.0, "epsilon": epsilon}
+        state = TopologicalState(self._number, seconds, (), parameters)
+        carried = [loop.carried(0.0, epsilon) for loop in self._known]
+        self._known = [loop for loop in carried if loop.missed <= self.memory]
+        self._seconds = seconds
         self._number += 1
         return state
 
@@ -224,23 +226,53 @@ class SeqPH:
         for points in frames:
             yield self.update(points)
 
+    @property
+    def frame(self) -> Frame:
+        """Return the points of the last cloud that count, and how far apart they are; LookupError before the first."""
+        if self._last_frame is None:
+            raise LookupError("the tracker has no frame yet: call update(points)")
+        return self._last_frame
+
+    def evidence(self, diagram: Diagram) -> Array:
+        """Return the log-odds (m,) that each bar of a diagram is a loop, by the last frame alone.
+
+        By alpha alone they are infinite, for or against.
+
+        Parameters
+        ----------
+        diagram : Diagram
+            Of the points that count in the last frame, wherever they are now.
+        """
+        return self._evidence(diagram, self.frame)
+
+    def presence(self, birth: ArrayLike, death: ArrayLike, ahead: ArrayLike) -> Array:
+        """Return the probability that loops are in the state so many frames ahead, by their evidence there and by memory.
+
+        Parameters
+        ----------
+        birth, death : array_like
+            Of the loops then. They are judged by the sampling of the last frame.
+        ahead : array_like
+            Frames since the loops were last seen, and seen well; infinite for loops that are new.
+        """
+        evidence = self._rule.evidence(np.asarray(birth), np.asarray(death), self.frame, compared=False)
+        log_odds = evidence + self._rule.belief_after(np.asarray(ahead, dtype=np.float64))
+        return np.asarray(1 / (1 + np.exp(-log_odds)))
+
     def _frame(self, tree: cKDTree) -> Frame:
-        """Return the points and the persistence that this tracker takes from a cloud."""
+        """Return the points that this tracker takes from a cloud."""
         if self.loops == "alpha":
             return Frame.of_all_points(tree, self.alpha)
-        frame = Frame.without_outliers(tree)
-        if self.alpha is not None:
-            frame = replace(frame, alpha=self.alpha)
-        return frame
+        return Frame.without_outliers(tree, self.alpha)
 
-    def _advance(self, cloud: Array, frame: Frame, diagram: Diagram, time: float | None) -> TopologicalState:
+    def _advance(self, cloud: Array, frame: Frame, diagram: Diagram, seconds: float) -> TopologicalState:
         """Return the state of a checked frame whose persistence is known: one turn of Algorithm 1.
 
         The tracker changes only at the end, so that an error of a match rule leaves it as it was.
         """
         # The bars of this frame that may be loops, and their places. In the paper: bars that live alpha or longer.
-        evidence = self._loop_evidence(frame, diagram)
-        bars = np.flatnonzero(evidence > WEAKEST).tolist()
+        evidence = self._evidence(diagram, frame)
+        bars = np.flatnonzero(evidence > self._rule.weakest).tolist()
         points = cloud[frame.ids]
         places = [place(diagram, bar, points, self.identity) for bar in bars]
 
@@ -259,62 +291,68 @@ class SeqPH:
             known_places=np.array([loop.place for loop in known]),
             motion=np.array([loop.motion for loop in known]),
             alpha=frame.alpha,
-            beta=beta,
+            beta=np.broadcast_to(beta, (len(bars), len(known))),
         )
-        matched = self._pairs(candidates, known)
+        known_of_bar = self._matching(candidates, known)
 
-        # A matched bar takes over belief and identity. A bar whose belief becomes positive gets the identity of a lost loop
-        # near it, or else a new one.
+        # A matched bar takes over the belief. A bar whose belief becomes positive takes over the identity, too: of its known
+        # loop, or of a missed loop near it; otherwise it gets a new one.
         beliefs = []
         for i, bar in enumerate(bars):
-            belief = known[matched[i]].belief if i in matched else 0.0
-            beliefs.append(believe(belief, evidence[bar]))
-        same = {i: j for i, j in matched.items() if known[j].id is not None}
-        nameless = [i for i, belief in enumerate(beliefs) if belief > 0 and i not in same]
-        same |= self._lost(candidates, known, nameless, set(matched.values()))
+            belief = known[known_of_bar[i]].belief if i in known_of_bar else 0.0
+            beliefs.append(self._rule.believe(belief, evidence[bar]))
+        named = {i: j for i, j in known_of_bar.items() if known[j].id is not None}
+        if self._matches_leaps:
+            nameless = [i for i, belief in enumerate(beliefs) if belief > 0 and i not in named]
+            matched = set(known_of_bar.values())
+            missed = [j for j, loop in enumerate(known) if loop.id is not None and j not in matched]
+            named |= _matched(match_leaps, candidates, nameless, missed)
+
         loops = []
-        found = []
+        known_now = []
         next_id = self._next_id
         for i, bar in enumerate(bars):
-            identity = known[same[i]].id if i in same else None
-            edge_before = known[same[i]].killer_edge if i in same else None
+            identity = known[named[i]].id if i in named else None
+            edge_before = known[named[i]].killer_edge if i in named else None
             if beliefs[i] > 0:
                 if identity is None:
                     identity = next_id
                     next_id += 1
                 loops.append(loop_at(diagram, bar, cloud, frame.ids, identity, edge_before))
             killer_edge = points[diagram.killer_edge[bar]]
-            found.append(Known(diagram.birth[bar], diagram.death[bar], places[i], killer_edge, beliefs[i], identity))
+            known_now.append(
+                Known(diagram.birth[bar], diagram.death[bar], places[i], killer_edge, beliefs[i], identity)
+            )
 
         # Known loops that were not found are remembered for some frames, with less belief. The paper forgets them.
-        taken = {*matched.values(), *same.values()}
-        missed = [loop for j, loop in enumerate(known) if j not in taken and loop.missed <= self.memory]
-        remembered = [replace(loop, belief=believe(loop.belief, MISSED)) for loop in missed]
+        matched = {*known_of_bar.values(), *named.values()}
+        for j, loop in enumerate(known):
+            if j not in matched and loop.missed <= self.memory:
+                known_now.append(replace(loop, belief=self._rule.believe(loop.belief, self._rule.missed)))
 
         # The state X_t, and the memory for the next frame.
         parameters = {"alpha": frame.alpha, "beta": float(np.max(beta, initial=0.0)), "epsilon": epsilon}
-        seconds = float(self._number if time is None else time)
         state = TopologicalState(self._number, seconds, tuple(loops), parameters)
-        self._known = found + remembered
+        self._known = known_now
         self._next_id = next_id
-        self._before = frame
-        self._time_before = time
+        self._last_frame = frame
+        self._seconds = seconds
         self._number += 1
         return state
 
-    def _loop_evidence(self, frame: Frame, diagram: Diagram) -> Array:
-        """Return the evidence (m,) that each bar is a loop; by alpha alone it is infinite, for or against."""
+    def _evidence(self, diagram: Diagram, frame: Frame) -> Array:
+        """Return the evidence (m,) that each bar of a frame is a loop; by alpha alone it is infinite, for or against."""
         if self.loops == "alpha":
             return np.where(diagram.lifetime >= frame.alpha, np.inf, -np.inf)
-        return frame.diagram_evidence(diagram)
+        return self._rule.evidence(diagram.birth, diagram.death, frame)
 
     def _motion(self, frame: Frame) -> tuple[Array | float, float]:
         """Return the motion of the scene as a whole, and epsilon, given or estimated."""
-        if self._before is None or self.epsilon is not None:
+        if self._last_frame is None or self.epsilon is not None:
             return 0.0, self.epsilon or 0.0
         if self.loops == "alpha":
-            return 0.0, hausdorff(frame.tree, self._before.tree)
-        return frame.motion_since(self._before)
+            return 0.0, hausdorff(frame.tree, self._last_frame.tree)
+        return frame.motion_since(self._last_frame)
 
     def _beta(self, death: Array, known_death: Array) -> Array | float:
         """Return beta, given or estimated as the length of the longer killer edge: of all, or (n, m) of each near pair."""
@@ -324,27 +362,43 @@ class SeqPH:
             return 2 * np.maximum(death[:, None], known_death)
         return 2 * max([*death, *known_death], default=0.0)
 
-    def _pairs(self, candidates: Candidates, known: list[Known]) -> dict[int, int]:
-        """Return the matched known loop of each found loop. Known loops with positive belief are matched first."""
+    def _matching(self, candidates: Candidates, known: list[Known]) -> dict[int, int]:
+        """Return the known loop of each matched bar. Known loops with positive belief are matched first."""
         pairs: dict[int, int] = {}
         for believed in (True, False):
             rows = [i for i in range(len(candidates.birth)) if i not in pairs]
             columns = [j for j, loop in enumerate(known) if (loop.belief > 0) == believed]
-            if rows and columns:
-                rule_pairs = self._match(candidates.subset(rows, columns))
-                for i, j in check_pairs(rule_pairs, len(rows), len(columns)):
-                    pairs[rows[i]] = columns[j]
+            pairs |= _matched(self._match, candidates, rows, columns)
         return pairs
 
-    def _lost(self, candidates: Candidates, known: list[Known], nameless: list[int], taken: set[int]) -> dict[int, int]:
-        """Return for found loops without a name the known loop with one that was lost near them."""
-        if not self._finds_lost or not nameless:
-            return {}
-        lost = [j for j, loop in enumerate(known) if loop.id is not None and j not in taken]
-        if not lost:
-            return {}
-        pairs = lost_nearby(candidates.subset(nameless, lost))
-        return {nameless[i]: lost[j] for i, j in pairs}
+
+def _matched(rule: MatchRule, candidates: Candidates, rows: list[int], columns: list[int]) -> dict[int, int]:
+    """Return the known loop of each bar that a rule matches, of these bars and these known loops."""
+    if not rows or not columns:
+        return {}
+    pairs = list(rule(candidates.subset(rows, columns)))
+    matching = {rows[i]: columns[j] for i, j in pairs}
+    if len(set(matching.values())) < len(pairs):
+        raise ValueError(f"match must return each found and each known loop once at most, not {pairs}")
+    return matching
+
+
+def check_frame(number: int, cloud: Array, time: float | None, before: float, dimension: int | None) -> float:
+    """Return the time of a frame, or raise ValueError when it has no point, or another dimension than the frames before."""
+    if len(cloud) == 0:
+        raise ValueError(f"frame {number} has no points, so that its loops are not known: call skip() for it")
+    if dimension not in (None, cloud.shape[1]):
+        raise ValueError(f"frame {number} has {cloud.shape[1]} dimensions, the frames before it have {dimension}")
+    return check_time(number, time, before)
+
+
+def check_time(number: int, time: float | None, before: float) -> float:
+    """Return the time of a frame, its number when it has none, or raise ValueError unless it is later than the one before."""
+    seconds = float(number if time is None else time)
+    if not seconds > before:
+        reason = f"its time {seconds:g} s is not later than the time {before:g} s of the frame before"
+        raise ValueError(f"frame {number} cannot follow: {reason}; sort the frames by time and drop repeated ones")
+    return seconds
 
 
 def track(
@@ -371,55 +425,31 @@ def track(
 
     Raises
     ------
-    TypeError, ValueError
+    ValueError
         In the cases of `SeqPH`; the message names the frame. All frames are checked before anything is computed.
     """
     clouds = as_sequence(sequence, copy=True)
     stamps: list[float | None] = [None] * len(clouds) if times is None else list(times)
     if len(stamps) != len(clouds):
         raise ValueError(f"times has {len(stamps)} values for {len(clouds)} frames")
-
-    # Check all frames before anything is computed.
     tracker = SeqPH(**options)
-    frames: list[Frame] = []
-    before = None
-    time_before = None
+    seconds: list[float] = []
     for number, (cloud, time) in enumerate(zip(clouds, stamps, strict=True)):
-        frame = tracker._frame(as_tree(cloud, f"frame {number}"))
-        check_follows(number, frame, time, before, time_before)
-        frames.append(frame)
-        before = frame
-        time_before = time
+        before = seconds[-1] if seconds else -np.inf
+        seconds.append(check_frame(number, cloud, time, before, None))
 
     # Persistence of all frames at once, then the matching frame by frame.
-    counting = [cloud[frame.ids] for cloud, frame in zip(clouds, frames, strict=True)]
-    diagrams = rips_persistence_many(counting, n_jobs, progress=progress)
-    states = []
-    for cloud, frame, diagram, time in zip(clouds, frames, diagrams, stamps, strict=True):
-        states.append(tracker._advance(cloud, frame, diagram, time))
-    return states
+    frames = [tracker._frame(as_tree(cloud)) for cloud in clouds]
+    counted = [cloud[frame.ids] for cloud, frame in zip(clouds, frames, strict=True)]
+    diagrams = rips_persistence_many(counted, n_jobs, progress=progress)
+    moments = zip(clouds, frames, diagrams, seconds, strict=True)
+    return [tracker._advance(*moment) for moment in moments]
 
 
-def place(diagram: Diagram, i: int, cloud: Array, identity: str) -> Array:
-    """Return the place (p, d) of loop `i` of a diagram, for one of the identities of `SeqPH`.
-
-    Parameters
-    ----------
-    diagram : Diagram
-    i : int
-    cloud : (n, d) float64
-        The diagram's points.
-    identity : {"killer-edge", "killer-triangles", "cycle"}
-
-    Raises
-    ------
-    ValueError
-        When there is no such identity.
-    """
-    if identity not in _IDENTITIES:
-        raise ValueError(f"identity must be one of {', '.join(_IDENTITIES)}, not {identity!r}")
+def place(diagram: Diagram, bar: int, cloud: Array, identity: str) -> Array:
+    """Return the place (p, d) of the loop of a bar, for one of the identities of `SeqPH`; the cloud is the diagram's."""
     if identity == "killer-edge":
-        return cloud[diagram.killer_edge[i]]
+        return cloud[diagram.killer_edge[bar]]
     if identity == "killer-triangles":
-        return cloud[diagram.killer_triangles[i, 0]].mean(axis=0, keepdims=True)
-    return curve_centroid(cloud[diagram.cycle(i)])[None]
+        return cloud[diagram.killer_triangles[bar, 0]].mean(axis=0, keepdims=True)
+    return curve_centroid(cloud[diagram.cycle(bar)])[None]

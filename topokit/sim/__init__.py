@@ -30,4 +30,4 @@ if importlib.util.find_spec("gymnasium") and importlib.util.find_spec("pydantic"
         _id = f"topokit/Hang{_task.title().replace('-', '')}-v1"
         register(_id, "topokit.sim:HangEnv", kwargs={"task": _task, "place": "anywhere"})
 
-__getattr__, __all__ = attach(__name__, __file__, "sim")
+__getattr__, __dir__, __all__ = attach(__name__, __file__, "sim")

@@ -15,4 +15,4 @@ if TYPE_CHECKING:
     from ._plots import Scene, appearances, plot_cloth, plot_diagram, plot_tracks, track_figure
     from ._render import pyvista_works, render_cloth, save_animation
 
-__getattr__, __all__ = attach(__name__, __file__, "view")
+__getattr__, __dir__, __all__ = attach(__name__, __file__, "view")
