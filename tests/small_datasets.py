@@ -16,7 +16,7 @@ from typing import Any
 import pytest
 
 from topokit.data import Dataset, DatasetConfig, _jobs, generate_dataset, label_dataset
-from topokit.sim import Garment, SimulationConfig
+from topokit.sim import WARDROBE, SimulationConfig
 
 from conftest import hear_ctrl_c
 
@@ -32,7 +32,7 @@ OPTIONS = {"alpha": 0.003}  # cloth this coarse has no loop that outlives its sp
 
 def write_cloth(path: Path, *, stretched: float = 1.0) -> list[int]:
     """Write a cloth with a hole as an OBJ file of a stranger; return the vertex ids of the hole."""
-    cloth = Garment.sheet(spacing=0.06)
+    cloth = WARDROBE["sheet"](spacing=0.06)
     lines = ["v {} {} {}".format(*(stretched * vertex)) for vertex in cloth.vertices]
     lines += ["f {} {} {}".format(*(face + 1)) for face in cloth.faces]
     path.write_text("\n".join(lines))

@@ -14,9 +14,9 @@ import pybullet
 from topokit import rips_persistence
 from topokit._config import from_mapping
 from topokit.sampling import spacing
-from topokit.sim import Camera, DepthNoise, Garment, SimulationConfig, World
+from topokit.sim import WARDROBE, Camera, DepthNoise, SimulationConfig, World
 
-APRON = Garment.apron(spacing=0.05, strap_width=0.05)
+APRON = WARDROBE["apron"](spacing=0.05, strap_width=0.05)
 OFFSET = np.array([0.0, -0.2, 1.1])
 POST = (np.array([0.1, -0.8, 0.4]), np.array([0.1, -0.8, 1.6]), 0.03)  # before the cloth, touching nothing
 

@@ -150,9 +150,9 @@ def test_bad_calls_of_track_write_nothing(arguments, names, episode, tmp_path, c
 
 def test_simulate_takes_a_mesh(tmp_path, capsys):
     pytest.importorskip("pybullet")
-    from topokit.sim import Garment
+    from topokit.sim import WARDROBE
 
-    tote = Garment.tote(handles=2, spacing=0.045)
+    tote = WARDROBE["tote"](handles=2, spacing=0.045)
     rows = ["v {} {} {}".format(*place) for place in tote.vertices]
     rows += ["f {} {} {}".format(*corners) for corners in tote.faces + 1]
     (tmp_path / "bag.obj").write_text("\n".join(rows))

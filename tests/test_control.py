@@ -19,12 +19,12 @@ from topokit._geometry import angle, turned
 from topokit.control import Carried, Planner, PullOverController, Servo, StrapController, ThrowController, hang
 from topokit.control._arm import Arm
 from topokit.io import load_episode, save_episode
-from topokit.sim import Garment, Hanger, Hook, Mannequin, Placed
+from topokit.sim import WARDROBE, Hanger, Hook, Mannequin, Placed
 
 from conftest import polygon
 
 CHECKPOINTS = Path(__file__).parents[1] / "data_small" / "checkpoints"
-COARSE = Garment.apron(spacing=0.05, strap_width=0.05)
+COARSE = WARDROBE["apron"](spacing=0.05, strap_width=0.05)
 
 
 def ring(n=40, radius=0.15, centre=(0.0, 0.0, 0.0)):
@@ -214,7 +214,7 @@ def test_it_hangs_and_the_episode_is_like_any_other(hanging, tmp_path):
 
 
 def test_a_small_loop_on_a_large_cloth_gets_more_points():
-    sheet = Garment.sheet(spacing=0.035, width=0.7, height=0.6, hole_radius=0.06)
+    sheet = WARDROBE["sheet"](spacing=0.035, width=0.7, height=0.6, hole_radius=0.06)
     mine = dataclasses.replace(sheet, name="mine")
     assert hang(garment=mine, max_steps=1).episode.observed.shape[1] > 256
     assert hang(garment=mine, max_steps=1, n_points=100).episode.observed.shape[1] == 100

@@ -22,9 +22,9 @@ from gymnasium.vector import AsyncVectorEnv
 from scipy.spatial.distance import cdist
 
 from topokit._geometry import turned
-from topokit.sim import TASKS, WARDROBE, Camera, Garment, HangEnv, Hanger, Hook, Placed, SimulationConfig
+from topokit.sim import TASKS, WARDROBE, Camera, HangEnv, Hanger, Hook, Placed, SimulationConfig
 
-COARSE = Garment.apron(spacing=0.05, strap_width=0.05)
+COARSE = WARDROBE["apron"](spacing=0.05, strap_width=0.05)
 QUICK = SimulationConfig(self_collision=False, settle=0.05)
 SPOILT = {"cloud_delay": 2, "noise": 0.005, "dropout": 0.2, "outliers": 0.05}
 DISTURBED = {"place": "anywhere", "start": "anywhere", "target_shift": 0.15, "shove": 1.0, **SPOILT}
@@ -83,7 +83,7 @@ def test_an_environment_that_is_dropped_gives_its_memory_back():
     [
         ("topokit/HangApronHook-v1", {}),
         ("topokit/HangApronHook-v1", {"reward": "topological-observed", "cameras": Camera.around(n=2)}),
-        ("topokit/HangTote2Hanger-v1", {"garment": Garment.tote(handles=2, spacing=0.04), **DISTURBED}),
+        ("topokit/HangTote2Hanger-v1", {"garment": WARDROBE["tote"](handles=2, spacing=0.04), **DISTURBED}),
     ],
 )
 def test_gymnasiums_checker_finds_nothing(version, options):

@@ -44,11 +44,11 @@ def finer(garment: Garment) -> Garment:
 
 
 CASES = {
-    "coarse apron": Garment.apron(spacing=0.06, strap_width=0.06, bib_width=0.34),
-    "coarse vest": Garment.vest(spacing=0.075),
-    "thin triangles": shuffled_places(Garment.apron(loops=2), np.random.default_rng(1)),
-    "fine tote": finer(finer(Garment.tote(handles=2, spacing=0.045))),
-    "narrow handle": Garment.tote(spacing=0.045, handle_width=0.01),
+    "coarse apron": WARDROBE["apron"](spacing=0.06, strap_width=0.06, bib_width=0.34),
+    "coarse vest": WARDROBE["vest"](spacing=0.075),
+    "thin triangles": shuffled_places(WARDROBE["apron"](loops=2), np.random.default_rng(1)),
+    "fine tote": finer(finer(WARDROBE["tote"](handles=2, spacing=0.045))),
+    "narrow handle": WARDROBE["tote"](spacing=0.045, handle_width=0.01),
 }
 
 

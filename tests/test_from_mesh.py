@@ -23,9 +23,9 @@ import topokit as tk
 from topokit.evaluate import summarise_tracks, true_loops
 from topokit.sim import TASKS, WARDROBE, Garment, Hook, Mannequin, SimulationConfig, World, task_for
 
-APRON = Garment.apron(spacing=0.05, strap_width=0.05)
-TOTE = Garment.tote(handles=2, spacing=0.04)
-VEST = Garment.vest(spacing=0.05)
+APRON = WARDROBE["apron"](spacing=0.05, strap_width=0.05)
+TOTE = WARDROBE["tote"](handles=2, spacing=0.04)
+VEST = WARDROBE["vest"](spacing=0.05)
 
 
 def written(path: Path, vertices: ArrayLike, polygons: ArrayLike) -> Path:
@@ -554,7 +554,7 @@ def test_loops_in_disorder_or_with_gaps_become_the_cycle(tmp_path):
 
 
 def test_borders_are_loops_on_request(tmp_path):
-    shirt = Garment.shirt(spacing=0.05)
+    shirt = WARDROBE["shirt"](spacing=0.05)
     loaded = Garment.from_mesh(Mesh(shirt).obj(tmp_path / "shirt.obj"), loops="borders")
     assert sorted(map(cyclic, loaded.loops)) == sorted(map(cyclic, shirt.loops))
     assert cyclic(loaded.loops[0]) == cyclic(shirt.loops[3])  # the hem is the longest
@@ -642,7 +642,7 @@ def test_a_dressed_shirt_is_judged_by_names_and_not_by_the_order_of_its_borders(
 
 def test_a_bag_whose_rim_is_the_longest_border_hangs_by_its_handles(tmp_path):
     hook = Hook()
-    bag = Garment.from_mesh(Mesh(Garment.tote(handles=2)).obj(tmp_path / "bag.obj"), loops="borders")
+    bag = Garment.from_mesh(Mesh(WARDROBE["tote"](handles=2)).obj(tmp_path / "bag.obj"), loops="borders")
     assert bag.loop_names[0] == "edge"
     over = hook.seat - bag.vertices[bag.loops[1]].mean(axis=0)
     for task in (TASKS["tote2-hook"], task_for(bag, hook)):
@@ -683,7 +683,7 @@ def test_closed_solids_are_refused_and_closed_straps_are_not(tmp_path):
 
 def test_borders_that_touch_are_taken_apart(tmp_path):
     """Two faces that meet at an inner vertex are cut out: two triangular holes."""
-    sheet = Garment.sheet(spacing=0.05)
+    sheet = WARDROBE["sheet"](spacing=0.05)
     inner = int(np.argmin(np.linalg.norm(sheet.vertices - [0, 0, -0.37], axis=1)))
     around = [face for face in sheet.faces.tolist() if inner in face]
     other = next(face for face in around if set(face) & set(around[0]) == {inner})
@@ -695,7 +695,7 @@ def test_borders_that_touch_are_taken_apart(tmp_path):
 
 
 def test_grips_are_chosen_near_the_top_and_said(tmp_path):
-    sheet = Garment.sheet(spacing=0.05)
+    sheet = WARDROBE["sheet"](spacing=0.05)
     loaded = Garment.from_mesh(Mesh(sheet).obj(tmp_path / "sheet.obj"))
     assert set(loaded.grips.tolist()) == set(sheet.grips.tolist())
     assert any("taken for grips" in repair for repair in loaded.repairs)
@@ -836,7 +836,7 @@ def test_meshes_of_others_load_hang_and_are_tracked():
 
 
 def test_ear_loops_and_straps_are_held_in_their_middle(tmp_path):
-    backpack = Garment.backpack(spacing=0.05)
+    backpack = WARDROBE["backpack"](spacing=0.05)
     loaded = Garment.from_mesh(written(tmp_path / "b.obj", backpack.vertices, backpack.faces), loops="auto")
     assert set(loaded.loop_names) == {"strap 1", "strap 2"}
     for grip in loaded.vertices[loaded.grips]:  # as far out as the straps go, within an edge

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-import dataclasses
+import functools
 import itertools
 
 import gudhi
@@ -19,8 +19,8 @@ from topokit.sim import WARDROBE, Garment, SimulationConfig, World
 from conftest import polygon
 
 CLASSES = {"apron": 1, "apron2": 2, "tote": 1, "tote2": 2, "backpack": 2, "shirt": 3, "vest": 3, "mask": 2, "sheet": 1}
-CLASSES |= {"sheet2": 2, "sheet0": 0, "sheet3": 3, "scarf": 1, "belt": 1, "trousers": 3, "net": 19}
-CUTS = ("shirt", "vest", "trousers", "net")  # whose loops are one more than their classes
+CLASSES |= {"sheet2": 2, "sheet0": 0, "sheet3": 3, "scarf": 1, "belt": 1, "net": 19}
+CUTS = ("shirt", "vest", "net")  # whose loops are one more than their classes
 SPACINGS = {"tote": 0.045, "tote2": 0.04, "backpack": 0.045, "mask": 0.025, "belt": 0.024, "net": 0.03}
 
 
@@ -111,40 +111,42 @@ def test_loops_are_what_persistence_finds(name):
     assert lifetime[CLASSES[name] - 1] > 1.5 * lifetime[CLASSES[name]]
 
 
-@pytest.mark.parametrize("name", [name for name in WARDROBE if name not in ("scarf", "belt", "trousers", "net")])
-def test_every_loop_has_the_name_that_its_place_gives_it(name):
-    for garment in (WARDROBE[name](), coarse(name)):
-        assert garment.loop_names == tuple(garment.named_loops) == LOOP_NAMES[name]
-        assert dataclasses.replace(garment, loop_names=()).loop_names == LOOP_NAMES[name]
+@pytest.mark.parametrize("name", LOOP_NAMES)
+def test_loops_have_the_names_that_files_of_episodes_leave_out(name):
+    garment = WARDROBE[name]()
+    assert garment.loop_names == tuple(garment.named_loops) == LOOP_NAMES[name]
+    # Necks, handles, straps and ear loops are above the middle, and a hem is the lowest of the loops.
+    heights = [float(garment.vertices[loop, 2].mean()) for loop in garment.loops]
+    assert heights[0] > garment.vertices[:, 2].mean()
+    assert ("hem" in garment.loop_names) <= (heights[-1] == min(heights))
 
 
-def test_loops_that_their_place_does_not_name_are_named_by_the_pattern():
-    assert Garment.scarf().loop_names == ("neck",)
-    trousers = Garment.trousers()
-    assert trousers.loop_names == ("loop", "waist", "leg 1", "leg 2")
-    waist = trousers.vertices[trousers.named_loops["waist"]]
-    assert np.ptp(waist[:, 2]) < 0.06  # level: it does not climb over the loop at the back
-    net = Garment.net(rows=2, columns=2)
-    assert net.loop_names == ("handle", "rim", *(f"mesh {i + 1}" for i in range(8)))
-    front = net.vertices[net.named_loops["mesh 1"]].mean(axis=0)
-    assert (front < [0, 0, -0.2]).all()
+def test_the_meshes_of_a_net_are_counted_from_the_lower_left_of_its_front():
+    net = WARDROBE["net"]()
+    assert net.loop_names == ("handle", "rim", *(f"mesh {i + 1}" for i in range(18)))
+    middles = np.array([net.vertices[loop].mean(axis=0) for loop in net.loops[2:]])
+    front, back = middles[:9], middles[9:]
+    assert (front[:, 1] < 0).all()
+    np.testing.assert_allclose(back, front * [1, -1, 1], atol=1e-9)
+    np.testing.assert_allclose(front[:3, 0], [-0.4 / 3, 0, 0.4 / 3], atol=1e-3)  # a third of the width apart
+    np.testing.assert_allclose(front[::3, 2], [-0.35, -0.21, -0.07], atol=1e-3)  # the middles of thirds of the height
 
 
 def test_the_apron_is_the_recorded_one(episode_path):
     episode = load_episode(episode_path)
-    np.testing.assert_array_equal(Garment.apron().faces, episode.faces)
-    np.testing.assert_array_equal(Garment.apron().loops[0], episode.loops[0])
+    np.testing.assert_array_equal(WARDROBE["apron"]().faces, episode.faces)
+    np.testing.assert_array_equal(WARDROBE["apron"]().loops[0], episode.loops[0])
 
 
 EXTREMES = [
     ("apron", {"strap_length": 1.6}),
     ("apron", {"spacing": 0.02, "bib_width": 0.5, "body_width": 0.5, "strap_width": 0.03}),
-    ("apron2", {"loops": 2, "waist_strap_length": 2.0, "waist_strap_width": 0.03}),
-    ("apron2", {"loops": 2, "body_height": 0.1, "waist_strap_length": 0.75}),
+    ("apron2", {"waist_strap_length": 2.0, "waist_strap_width": 0.03}),
+    ("apron2", {"body_height": 0.1, "waist_strap_length": 0.75}),
     ("tote", {"handle_length": 1.5, "depth": 0.3}),
     ("tote", {"width": 0.8, "height": 0.1, "depth": 0.02, "handle_length": 1.1}),
-    ("tote2", {"handles": 2, "handle_length": 1.2, "handle_span": 0.12, "handle_width": 0.03}),
-    ("tote2", {"handles": 2, "width": 0.9, "handle_span": 0.7, "handle_length": 1.0, "handle_width": 0.1}),
+    ("tote2", {"handle_length": 1.2, "handle_span": 0.12, "handle_width": 0.03}),
+    ("tote2", {"width": 0.9, "handle_span": 0.7, "handle_length": 1.0, "handle_width": 0.1}),
     ("backpack", {"strap_angle": 0.0, "strap_length": 1.2}),
     ("backpack", {"strap_angle": 80.0, "depth": 0.3, "height": 0.9}),
     ("shirt", {"sleeve_angle": 60.0, "sleeve_length": 0.5, "length": 1.2, "neck_depth": 0.02}),
@@ -152,37 +154,35 @@ EXTREMES = [
     ("mask", {"depth": 0.1, "bow": 0.06, "strap_length": 0.6}),
     ("mask", {"width": 0.6, "height": 0.1, "strap_span": 0.5, "strap_length": 0.8}),
     ("sheet", {"hole_radius": 0.2, "hole_drop": 0.25}),
-    ("sheet3", {"holes": 3, "width": 1.0}),
-    ("sheet2", {"holes": 2, "hole_radius": 0.02, "hole_height": 0.2}),  # upright slits
-    ("sheet0", {"holes": 0, "width": 0.3, "height": 1.4}),  # an open scarf
+    ("sheet2", {"width": 1.2, "hole_distance": 0.9, "hole_radius": 0.05, "hole_drop": 0.4}),
+    ("sheet3", {"width": 1.0}),
+    ("sheet0", {"width": 0.3, "height": 1.4}),  # an open scarf
     ("scarf", {"length": 0.6, "width": 0.1}),
     ("belt", {"length": 0.3, "loop_radius": 0.12, "width": 0.04}),
-    ("trousers", {"length": 0.4, "leg_angle": 30.0, "loop_length": 0.9}),
-    ("net", {"rows": 3, "columns": 3, "width": 0.6, "height": 0.5, "mesh_radius": 0.06, "handle_length": 1.0}),
-    ("sheet2", {"holes": 2, "width": 1.2, "hole_distance": 0.9, "hole_radius": 0.05, "hole_drop": 0.4}),
+    ("net", {"width": 0.6, "height": 0.5, "mesh_radius": 0.06, "handle_length": 1.0}),
 ]
+MAKE = {**WARDROBE, **{f"sheet{holes}": functools.partial(WARDROBE["sheet"], holes=holes) for holes in (0, 3)}}
 
 
 @pytest.mark.parametrize(("name", "sizes"), EXTREMES)
 def test_unusual_sizes_keep_the_classes(name, sizes):
-    garment = getattr(Garment, name.rstrip("0123"))(**sizes)
+    garment = MAKE[name](**sizes)
     faces, loops = chains(garment)
     assert rank(faces + loops) - rank(faces) == CLASSES[name] == 1 - euler(garment)
     assert garment.name == name
     assert garment.edge_lengths.min() > 0.15 * garment.parameters["spacing"]
-    counts = ("loops", "handles", "holes", "rows", "columns")
-    assert garment.parameters.items() >= {size: sizes[size] for size in sizes if size not in counts}.items()
+    assert garment.parameters.items() >= sizes.items()
 
 
 def test_sizes_are_what_is_measured():
-    tote = Garment.tote(width=0.5, height=0.3, depth=0.12)
+    tote = WARDROBE["tote"](width=0.5, height=0.3, depth=0.12)
     np.testing.assert_allclose(np.ptp(tote.vertices, axis=0)[:2], [0.5, 0.12], atol=0.01)
     assert tote.vertices[:, 2].min() == pytest.approx(-0.3)
-    apron = Garment.apron(loops=2, waist_strap_length=1.1)
+    apron = WARDROBE["apron"](loops=2, waist_strap_length=1.1)
     waist = apron.vertices[apron.loops[1]]
     behind = waist[waist[:, 1] > 1e-9]
     assert np.linalg.norm(np.diff(behind, axis=0), axis=1).sum() == pytest.approx(1.1, abs=2.5 * 0.03)
-    sheet = Garment.sheet(hole_radius=0.1, hole_drop=0.2)
+    sheet = WARDROBE["sheet"](hole_radius=0.1, hole_drop=0.2)
     np.testing.assert_allclose(np.linalg.norm(sheet.vertices[sheet.loops[0]] + [0, 0, 0.2], axis=1), 0.1, atol=1e-3)
 
 
@@ -193,39 +193,25 @@ BAD = [
     ("apron", {"loops": 3}),
     ("apron", {"strap_width": 0.2}),
     ("apron", {"spacing": 0}),
-    ("apron", {"loops": 2, "waist_strap_length": 0.4}),
-    ("apron", {"loops": 2, "waist_strap_width": 0.5}),
-    ("tote", {"handles": 0}),
+    ("apron2", {"waist_strap_length": 0.4}),
+    ("apron2", {"waist_strap_width": 0.5}),
     ("tote", {"handle_length": 0.3}),
     ("tote", {"handle_width": 0.34}),
-    ("tote", {"handles": 2, "handle_span": 0.35}),
-    ("tote", {"handles": 2, "handle_span": 0.1}),
-    ("tote", {"width": -1}),
+    ("tote2", {"handle_span": 0.35}),
     ("tote", {"width": "wide"}),
     ("tote", {"spacing": 0.3}),
     ("backpack", {"box_height": 0.5}),
-    ("backpack", {"strap_length": 0.2}),
-    ("backpack", {"strap_angle": 170}),
     ("shirt", {"neck_width": 0.6}),
     ("shirt", {"sleeve_length": 0.01}),
-    ("shirt", {"sleeve_width": 0.7}),
     ("vest", {"shoulder_width": 0.3}),
     ("vest", {"armhole_depth": 0.6}),
     ("mask", {"strap_span": 0.2}),
-    ("mask", {"depth": 0}),
     ("sheet", {"hole_radius": 0.02}),
     ("sheet", {"hole_drop": 0.05}),
-    ("sheet", {"holes": 2, "hole_distance": 0.1}),
-    ("sheet", {"holes": 2, "hole_distance": 0.5, "width": 0.6}),
-    ("sheet", {"holes": 2.0}),
-    ("sheet", {"hole_height": 0.01}),
-    ("sheet", {"spacing": float("nan")}),
-    ("sheet", {"width": 10.0, "height": 10.0, "spacing": 0.04}),  # would take minutes and gigabytes
+    ("sheet2", {"hole_distance": 0.1}),
+    ("sheet2", {"hole_distance": 0.5, "width": 0.6}),
     ("scarf", {"length": 0.1}),
     ("belt", {"loop_width": 0.01}),
-    ("trousers", {"rise": 0.8}),
-    ("trousers", {"loop_span": 0.36}),
-    ("net", {"rows": 0}),
     ("net", {"mesh_radius": 0.1}),
 ]
 
@@ -233,7 +219,7 @@ BAD = [
 @pytest.mark.parametrize(("name", "sizes"), BAD)
 def test_sizes_that_do_not_fit_are_named(name, sizes):
     with pytest.raises((ValueError, TypeError), match=[*sizes][-1]):
-        getattr(Garment, name)(**sizes)
+        WARDROBE[name](**sizes)
 
 
 def square(**changes):

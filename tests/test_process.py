@@ -14,7 +14,7 @@ import pytest
 
 pytest.importorskip("pybullet")
 from topokit._processes import ProcessError, in_fresh_processes
-from topokit.sim import Garment, SimulationConfig, SimulationError, simulate
+from topokit.sim import WARDROBE, SimulationConfig, SimulationError, simulate
 
 from fresh_jobs import count_up, crash_until_third, divide, do, wait
 from small_datasets import wait_until
@@ -22,9 +22,9 @@ from small_datasets import wait_until
 pytestmark = pytest.mark.skipif(os.name != "posix", reason="signals")
 
 SIMULATE = """
-from topokit.sim import Garment, SimulationConfig, simulate
+from topokit.sim import WARDROBE, SimulationConfig, simulate
 
-apron = Garment.apron(spacing=0.05, strap_width=0.05)
+apron = WARDROBE["apron"](spacing=0.05, strap_width=0.05)
 print(simulate(apron, config=SimulationConfig(frames=2, steps_per_frame=1, settle=0), n_observed=50).points.sum())
 """
 OWNER = """
@@ -89,7 +89,7 @@ def test_a_script_is_not_run_again_nor_a_module_of_the_working_directory(tmp_pat
 
 
 def test_a_simulation_that_hangs_says_where(monkeypatch):
-    apron = Garment.apron(spacing=0.05, strap_width=0.05)
+    apron = WARDROBE["apron"](spacing=0.05, strap_width=0.05)
     config = SimulationConfig(frames=2, steps_per_frame=300_000, settle=0)
     with pytest.raises(SimulationError, match="after frame 0: stopped: no sign of life for 3 s"):
         simulate(apron, config=config, n_observed=50, time_limit=3)

@@ -35,7 +35,7 @@ from topokit.sim import (
     task_for,
 )
 
-APRON = Garment.apron(spacing=0.05, strap_width=0.05)
+APRON = WARDROBE["apron"](spacing=0.05, strap_width=0.05)
 SHORT = SimulationConfig(frames=4, steps_per_frame=10, settle=0.02)
 
 
@@ -92,7 +92,7 @@ def test_an_episode_is_the_same_in_every_fresh_process_and_in_ours(tmp_path):
     code = (
         "from topokit.sim import *; from topokit.io import save_episode; import sys\n"
         "config = SimulationConfig(frames=8, steps_per_frame=20, settle=0.05)\n"
-        "apron = Garment.apron(spacing=0.05, strap_width=0.05)\n"
+        "apron = WARDROBE['apron'](spacing=0.05, strap_width=0.05)\n"
         "if __name__ == '__main__':\n"
         "    options = {'seed': 4, 'config': config, 'n_observed': 100}\n"
         "    save_episode(sys.argv[1] + '/one.npz', simulate(apron, time_limit=None, **options))\n"
@@ -241,7 +241,7 @@ def test_kinds_of_cloth_drape_in_their_order():
 
 
 def test_mass_is_area_times_density_and_what_is_given_stays():
-    sheet = Garment.sheet(holes=0, width=0.5, height=0.4, spacing=0.05)
+    sheet = WARDROBE["sheet"](holes=0, width=0.5, height=0.4, spacing=0.05)
     config = Cloth(density=0.3).config(sheet)
     assert config.mass == pytest.approx(0.3 * 0.5 * 0.4)
     assert config.frame_time == pytest.approx(SimulationConfig().frame_time)

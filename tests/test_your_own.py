@@ -20,7 +20,7 @@ from topokit.control import Servo
 from topokit.data import DatasetConfig
 from topokit.models import TrainConfig
 from topokit.sensors import Pipeline
-from topokit.sim import Garment
+from topokit.sim import WARDROBE, Garment
 
 ROOT = Path(__file__).parents[1]
 PAGE = (ROOT / "book" / "your_own.md").read_text()
@@ -58,7 +58,7 @@ def test_the_loop_hangs_a_garment_and_stops_when_the_robot_does():
     names: dict = {}
     exec(piece("def hang"), names)
     exec(piece("class SimulatedRobot"), names)
-    coarse = Garment.apron(spacing=0.05, strap_width=0.05)
+    coarse = WARDROBE["apron"](spacing=0.05, strap_width=0.05)
     robot = names["SimulatedRobot"]("apron-hook", garment=coarse)
     controller = names["planner"](robot, speed=1.2)
     assert names["hang"](robot, controller) == "let go"

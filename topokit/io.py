@@ -44,7 +44,6 @@ LOOP_NAMES = {
     "sheet2": ("hole 1", "hole 2"),
     "scarf": ("neck",),
     "belt": ("loop",),
-    "trousers": ("loop", "waist", "leg 1", "leg 2"),
 }
 EPISODE_KIND = "topokit-episode"
 _STATES_KIND = "topokit-states"

@@ -10,14 +10,14 @@ import dataclasses
 
 import numpy as np
 
-from topokit.sim import Cloth, Garment, World
+from topokit.sim import WARDROBE, Cloth, Garment, World
 
 SIDE, RADIUS, LIFT = 0.30, 0.02, 1.0
 
 
 def square(spacing: float = 0.03) -> Garment:
     """A square of cloth that lies level, held at both ends of its middle line."""
-    sheet = Garment.sheet(holes=0, width=SIDE, height=SIDE, spacing=spacing)
+    sheet = WARDROBE["sheet"](holes=0, width=SIDE, height=SIDE, spacing=spacing)
     flat = sheet.vertices[:, [0, 2, 1]] + [0, SIDE / 2, 0]
     ends = [[-SIDE / 2, 0, 0], [SIDE / 2, 0, 0]]
     grips = np.linalg.norm(flat[:, None] - ends, axis=2).argmin(axis=0)

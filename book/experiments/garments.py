@@ -30,7 +30,7 @@ import strangers
 import trimesh
 
 from topokit.io import load_episode
-from topokit.sim import Garment
+from topokit.sim import WARDROBE, Garment
 
 UNITS = {"m": 1.0, "cm": 100.0, "mm": 1000.0, "none": 3.7}  # what a metre is in the file
 
@@ -49,18 +49,18 @@ class Case:
 def bag(meshes: Path | None) -> Iterator[Case]:
     """Return every case, in an order that never changes."""
     makes: list[tuple[str, Garment, str]] = [
-        ("apron", Garment.apron(), "hook"),
-        ("apron long", Garment.apron(body_height=0.6, strap_length=0.75, spacing=0.035), "hook"),
-        ("apron small", Garment.apron(body_width=0.4, body_height=0.3, bib_width=0.22, bib_height=0.2), "hanger"),
-        ("apron of two loops", Garment.apron(loops=2), "hook"),
-        ("tote", Garment.tote(), "hook"),
-        ("tote wide", Garment.tote(width=0.5, height=0.35), "hanger"),
-        ("tote of two handles", Garment.tote(handles=2), "hook"),
-        ("backpack", Garment.backpack(), "hook"),
-        ("mask", Garment.mask(), "hook"),
-        ("sheet with a hole", Garment.sheet(), "hook"),
-        ("shirt", Garment.shirt(), "mannequin"),
-        ("vest", Garment.vest(), "mannequin"),
+        ("apron", WARDROBE["apron"](), "hook"),
+        ("apron long", WARDROBE["apron"](body_height=0.6, strap_length=0.75, spacing=0.035), "hook"),
+        ("apron small", WARDROBE["apron"](body_width=0.4, body_height=0.3, bib_width=0.22, bib_height=0.2), "hanger"),
+        ("apron of two loops", WARDROBE["apron"](loops=2), "hook"),
+        ("tote", WARDROBE["tote"](), "hook"),
+        ("tote wide", WARDROBE["tote"](width=0.5, height=0.35), "hanger"),
+        ("tote of two handles", WARDROBE["tote"](handles=2), "hook"),
+        ("backpack", WARDROBE["backpack"](), "hook"),
+        ("mask", WARDROBE["mask"](), "hook"),
+        ("sheet with a hole", WARDROBE["sheet"](), "hook"),
+        ("shirt", WARDROBE["shirt"](), "mannequin"),
+        ("vest", WARDROBE["vest"](), "mannequin"),
     ]
     kinds = [".obj", ".ply", ".stl"]
     units = list(UNITS)

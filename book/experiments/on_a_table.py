@@ -21,7 +21,7 @@ from tables import write_results
 
 import topokit as tk
 from topokit.sensors import Cleaner, Pipeline
-from topokit.sim import Camera, Cloth, DepthNoise, Garment, World
+from topokit.sim import WARDROBE, Camera, Cloth, DepthNoise, World
 
 OUT = Path(__file__).parents[1] / "results" / "on_a_table.json"
 WAYS = ("let down", "pushed", "folded")
@@ -53,7 +53,7 @@ def frame(seed: int, way: str) -> tuple[Points, NDArray[np.bool_], Camera]:
     """Return what a camera sees (n, 3) of cloth on the floor, which points are cloth, and the camera."""
     rng = np.random.default_rng(seed)
     size = rng.uniform(0.3, 0.55, 2)
-    sheet = Garment.sheet(holes=0, width=size[0], height=size[1], spacing=0.03)
+    sheet = WARDROBE["sheet"](holes=0, width=size[0], height=size[1], spacing=0.03)
     flat = sheet.vertices[:, [0, 2, 1]] + [0, size[1] / 2, 0]
     corners = size / 2 * [[-1, 1], [1, 1]]
     if way == "let down":  # from a hand that holds it at one place

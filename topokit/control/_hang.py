@@ -14,7 +14,7 @@ from topokit._progress import Progress
 from topokit._validate import WrongKindError
 from topokit.io import Episode
 from topokit.linking import side_lengths
-from topokit.sim import Garment, HangEnv, Mannequin, Target, Task, explain
+from topokit.sim import WARDROBE, Garment, HangEnv, Mannequin, Target, Task, explain
 
 from ._dress import PullOverController, StrapController
 from ._planner import Carried, MotionForecaster, Planner
@@ -85,7 +85,7 @@ def hang(
     """
     forecast = _forecast(model)
     if task is None and garment is None:
-        garment = Garment.tote()
+        garment = WARDROBE["tote"]()
     elif garment is not None:
         options.setdefault("n_points", _points_that_show(garment))
     env = HangEnv(task, garment=garment, target=target, max_steps=max_steps, **options)

@@ -43,7 +43,7 @@ from topokit.sim import (
 
 from ._sizes import varied_garment, varied_target
 
-_LATER = ("scarf", "belt", "net", "trousers")  # garments that are not in the default tasks of version 1
+_LATER = ("scarf", "belt", "net")  # garments that are not in the default tasks of version 1
 _OF_TWO = ("off_script", "places", "vary", "meshes")
 _TARGETS: Mapping[str, type[Target]] = {kind.name: kind for kind in (Hook, Hanger, Mannequin)}
 Ids = Annotated[tuple[int, ...], BeforeValidator(as_tuple)]

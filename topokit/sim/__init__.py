@@ -13,11 +13,12 @@ if TYPE_CHECKING:
     from ._cloth import Cloth
     from ._env import HangEnv
     from ._episode import explain, simulate
-    from ._garments import WARDROBE, Garment
+    from ._garments import Garment
     from ._path import GripperPath, Via, off_script
     from ._randomisation import Randomisation
     from ._targets import Hanger, Hook, Mannequin, Placed, Target
     from ._tasks import TASKS, Task, task_for
+    from ._wardrobe import WARDROBE
     from ._world import SimulationConfig, SimulationError, World
 
 # So that gymnasium.make knows the environments once this package is imported.

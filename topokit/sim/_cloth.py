@@ -15,7 +15,8 @@ import numpy as np
 
 from topokit._config import NotNegative, Positive, checked
 
-from ._garments import WARDROBE, Garment
+from ._garments import Garment
+from ._wardrobe import WARDROBE
 from ._world import SimulationConfig
 
 _FRAME = 0.036  # time between two frames, seconds

@@ -7,45 +7,23 @@ alike in every direction, and the border of an opening keeps its order: it is th
 from __future__ import annotations
 
 import functools
-import inspect
 import logging
-from collections.abc import Callable, Mapping
+from collections.abc import Mapping
 from dataclasses import dataclass, field, replace
-from typing import Any, ParamSpec
+from pathlib import Path
+from typing import Any
 
 import numpy as np
 
 from topokit._geometry import turned
 from topokit._strangers import printable
 from topokit._validate import as_ids, as_points
-from topokit.io import LOOP_NAMES
 
-from . import _mesh, _names, _wardrobe
+from . import _mesh, _names
 from ._even import evened, is_even, usual_spacing
 from ._surface import Array, Ids, check_loop, check_mesh, edge_lengths, face_areas, half_edges
 
-Sizes = ParamSpec("Sizes")
 _log = logging.getLogger("topokit.sim")
-
-
-def _sewn(pattern: Callable[Sizes, tuple[Any, ...]]) -> Callable[Sizes, Garment]:
-    """Return a function that makes a garment from a pattern; its docstring lists the pattern's sizes."""
-
-    @functools.wraps(pattern)
-    def garment(*arguments: Sizes.args, **sizes: Sizes.kwargs) -> Garment:
-        fields = pattern(*arguments, **sizes)
-        if len(fields) == 6:  # without repairs and names of its loops
-            fields = (*fields, (), LOOP_NAMES.get(fields[0], ()))
-        return Garment(*fields)
-
-    words = inspect.cleandoc(pattern.__doc__ or "")
-    if "Parameters\n" not in words:
-        rows = [f"{name} : {size.annotation}" for name, size in inspect.signature(pattern).parameters.items()]
-        garment.__doc__ = "\n".join([words, "", "Parameters", "-" * 10, *rows])
-    # Pickle finds the function by its module and name: tasks are sent to other processes.
-    garment.__module__ = __name__
-    garment.__qualname__ = f"Garment.{pattern.__name__}"
-    return garment
 
 
 @dataclass(frozen=True, eq=False)
@@ -64,10 +42,10 @@ class Garment:
     loops: tuple[Ids, ...]
     grips: Ids  #: ids (2,) int64 of the vertices that the grippers hold
     parameters: Mapping[str, float] = field(default_factory=dict)  #: sizes that it was made from
-    repairs: tuple[str, ...] = ()  #: repairs of the mesh by `from_mesh`, in words
     #: Names of the loops, all different: neck, hem, handle, strap, arm, waist, ear, hole, edge, rim, ...; several of a kind are
     #: numbered ("handle 1"). When not given, they are found from place and size of the loops on the upright mesh.
     loop_names: tuple[str, ...] = ()
+    repairs: tuple[str, ...] = ()  #: repairs of the mesh by `from_mesh`, in words
 
     def __post_init__(self) -> None:
         # Check and copy the arrays, so that they cannot be changed from outside.
@@ -160,34 +138,17 @@ class Garment:
             repairs=(*self.repairs, note),
         )
 
-    apron = staticmethod(_sewn(_wardrobe.apron))
-    tote = staticmethod(_sewn(_wardrobe.tote))
-    backpack = staticmethod(_sewn(_wardrobe.backpack))
-    shirt = staticmethod(_sewn(_wardrobe.shirt))
-    vest = staticmethod(_sewn(_wardrobe.vest))
-    mask = staticmethod(_sewn(_wardrobe.mask))
-    sheet = staticmethod(_sewn(_wardrobe.sheet))
-    scarf = staticmethod(_sewn(_wardrobe.scarf))
-    belt = staticmethod(_sewn(_wardrobe.belt))
-    trousers = staticmethod(_sewn(_wardrobe.trousers))
-    net = staticmethod(_sewn(_wardrobe.net))
-    from_mesh = staticmethod(_sewn(_mesh.from_mesh))
-
-
-WARDROBE: Mapping[str, Callable[[], Garment]] = {
-    "apron": Garment.apron,
-    "apron2": functools.partial(Garment.apron, loops=2),
-    "tote": Garment.tote,
-    "tote2": functools.partial(Garment.tote, handles=2),
-    "backpack": Garment.backpack,
-    "shirt": Garment.shirt,
-    "vest": Garment.vest,
-    "mask": Garment.mask,
-    "sheet": Garment.sheet,
-    "sheet2": functools.partial(Garment.sheet, holes=2),
-    "scarf": Garment.scarf,
-    "belt": Garment.belt,
-    "trousers": Garment.trousers,
-    "net": Garment.net,
-}
-"""All garments by the names that episodes record: functions that make them at their default sizes."""
+    @staticmethod
+    def from_mesh(path: str | Path, **options: Any) -> Garment:
+        """Return the garment of an OBJ, PLY or STL file."""
+        read = _mesh.from_mesh(path, **options)
+        return Garment(
+            Path(path).stem,
+            read.vertices,
+            read.faces,
+            read.loops,
+            read.grips,
+            {"scale": read.scale},
+            read.loop_names,
+            read.repairs,
+        )

@@ -6,7 +6,7 @@ import itertools
 import logging
 from collections.abc import Iterable, Mapping, Sequence
 from pathlib import Path
-from typing import Any, Literal
+from typing import Any, Literal, NamedTuple
 
 import numpy as np
 from numpy.typing import ArrayLike
@@ -25,12 +25,12 @@ from ._surface import (
     EdgeGraph,
     Ids,
     border_cycles,
+    component_of,
     components,
     edge_lengths,
     face_areas,
     half_edges,
     is_inside,
-    joined,
     of_three_vertices,
     once_each,
     vector_area,
@@ -61,6 +61,18 @@ _UNCLEAR = "whether its y or its z axis points up is unclear, and z was taken; g
 _UNITS = ((1.0, "metres"), (0.001, "millimetres"), (0.01, "centimetres"))
 
 
+class Read(NamedTuple):
+    """What is made of a mesh file."""
+
+    vertices: Array
+    faces: Ids
+    loops: tuple[Ids, ...]
+    grips: Ids
+    loop_names: tuple[str, ...]
+    scale: float
+    repairs: tuple[str, ...]
+
+
 def from_mesh(
     path: str | Path,
     *,
@@ -71,7 +83,7 @@ def from_mesh(
     up: Literal["x", "y", "z", "-x", "-y", "-z"] | None = None,
     weld: float | None = None,
     max_vertices: int = 3000,
-) -> tuple[str, Array, Ids, tuple[Ids, ...], Ids, dict[str, float], tuple[str, ...], tuple[str, ...]]:
+) -> Read:
     """Return the garment of an OBJ, PLY or STL file; what had to be repaired is in `repairs` and logged.
 
     Vertices at one place are welded; vertices in no face, faces without three different vertices or on another one, and
@@ -176,7 +188,7 @@ def from_mesh(
         if message not in _logged:
             _logged.add(message)
             _log.warning("%s", message)
-    return Path(path).stem, placed, faces, cycles, held, {"scale": factor}, tuple(repairs), names
+    return Read(placed, faces, cycles, held, names, factor, tuple(repairs))
 
 
 def _note(repairs: list[str], count: int, what: str) -> None:
@@ -206,12 +218,7 @@ def _repaired(
     faces = _one_component(vertices, faces, repairs)
     kept, flat = np.unique(faces, return_inverse=True)
     _note(repairs, len(np.unique(vertex_of)) - len(kept), "vertices in none of the faces kept were dropped")
-    faces, turned, two_sided = wind(flat.reshape(-1, 3))
-    _note(repairs, turned, "faces were turned round to agree with their neighbours")
-    if not two_sided:
-        repairs.append(
-            "the surface has one side (as a Moebius strip has): its faces cannot all agree, and were left so"
-        )
+    faces = wind(flat.reshape(-1, 3))
     _, counts = np.unique(half_edges(faces), axis=0, return_counts=True)
     _note(repairs, int((counts > 2).sum()), "edges in more than two faces, as where a strap is sewn on, were kept")
     return faces, vertex_of, kept
@@ -254,7 +261,7 @@ def _weld(vertices: Array, distance: float, repairs: list[str]) -> Ids:
         raise ValueError(f"most vertices lie within {distance:.2g} of a hundred others; weld less, or mend the mesh")
     near = finite[tree.query_pairs(distance, output_type="ndarray")]
     equal = np.column_stack([np.arange(len(vertices)), first_at[place_of.ravel()]])
-    group = joined(np.concatenate([near, equal]), len(vertices))
+    group = component_of(np.concatenate([near, equal]), len(vertices))
     _, first, group_of = np.unique(group, return_index=True, return_inverse=True)
     what = f"vertices within {distance:.2g} of another one (in the file's units) were welded to it"
     _note(repairs, len(vertices) - len(first), what)

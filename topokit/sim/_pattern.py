@@ -17,10 +17,7 @@ from scipy.sparse import coo_matrix, diags
 from scipy.sparse.linalg import spsolve
 from scipy.spatial import Delaunay, cKDTree
 
-from ._surface import Array, Ids, demand, half_edges, joined, strangers, wind
-
-_ROUNDS = 12  # of relaxation
-_MOST = 2**15  # vertices of a pattern: no dataset has room for more
+from ._surface import Array, Ids, component_of, half_edges, not_joined, wind
 
 
 @dataclass(frozen=True)
@@ -56,8 +53,8 @@ class Arch:
     @classmethod
     def of_length(cls, span: float, length: float, name: str = "strap_length") -> Arch:
         """Return the arch over `span` whose arc length is `length`."""
-        if span <= 0 or length <= 1.3 * span:
-            raise ValueError(f"{name} {length} is too short for a span of {span:.3f} between the middles of its ends")
+        fits = 0 < 1.3 * span < length
+        demand(fits, f"{name} {length} is too short for a span of {span:.3f} between the middles of its ends")
         steepest = cls(span / 2, 1.25 * span)  # a higher ellipse would be too pointed for a strap of some width
         if length > steepest._polyline_length():
             return cls(span / 2, 1.25 * span, (length - steepest._polyline_length()) / 2)
@@ -82,11 +79,15 @@ class Arch:
         dense = self._dense(offset)
         return points_at(dense, share * arc_length(dense)[-1])
 
+    @property
+    def thirds(self) -> Array:
+        """Return (2, 2) the points at a third of the arch from either end."""
+        return self.points(np.array([1 / 3, 2 / 3]))
+
     def strap(self, width: float, spacing: float, length: float) -> tuple[Array, list[Array], Array]:
         """Return a strap: its outer border (181, 2), the opening below (inner border and line back), its inner vertices."""
         narrowest = min(self.half_span**2 / self.height, self.height**2 / self.half_span)  # radius of curvature
-        if width / 2 >= narrowest:
-            raise ValueError(f"a strap so long ({length}) and bent must be less wide than {2 * narrowest:.3f}: {width}")
+        demand(width / 2 < narrowest, f"a strap of length {length} must be less wide than {2 * narrowest:.3f}: {width}")
         share = np.linspace(0, 1, 181)
         outer = self.points(share, width / 2)
         inner = self.points(share, -width / 2)
@@ -97,15 +98,21 @@ class Arch:
         return outer, opening, self.points((np.arange(count) + 0.5) / count)
 
 
+def demand(holds: bool, otherwise: str) -> None:
+    """Raise ValueError with these words unless a condition holds."""
+    if not holds:
+        raise ValueError(otherwise)
+
+
 def polyline(*corners: Sequence[float] | Array) -> list[Array]:
     """Return the segments between consecutive corners."""
     return [np.array([a, b], dtype=np.float64) for a, b in itertools.pairwise(corners)]
 
 
-def ellipse(x: float, z: float, wide: float, high: float) -> list[Array]:
-    """Return the border of a hole with these half-axes about (x, z)."""
+def circle(x: float, z: float, radius: float) -> list[Array]:
+    """Return the border of a round hole about (x, z)."""
     angle = np.linspace(0, 2 * np.pi, 361)
-    return [np.column_stack([x + wide * np.cos(angle), z + high * np.sin(angle)])]
+    return [np.column_stack([x + radius * np.cos(angle), z + radius * np.sin(angle)])]
 
 
 def mirror(line: Array) -> Array:
@@ -135,10 +142,8 @@ def cut(
     flat, faces, borders = triangulate(outline, holes, spacing, fixed)
     # At a coarse spacing Delaunay triangles can cut across a border.
     edges = half_edges(faces)
-    lost = next((pair for border in borders for pair in strangers(border, edges)), None)
-    if lost is not None:
-        x, z = flat[lost[0]]
-        raise ValueError(f"spacing {spacing} is too coarse: the border is lost near x = {x:.3f}, z = {z:.3f} m")
+    whole = not any(not_joined(border, edges) for border in borders)
+    demand(whole, f"spacing {spacing} is too coarse: a border is lost")
     # Each polyline of the outline has its own share of the vertices around it.
     starts = np.cumsum([0, *(count_steps(line, spacing) for line in outline)])
     around = np.append(borders[0], borders[0][:1])
@@ -207,22 +212,18 @@ def sew(panels: Sequence[Panel], seams: Sequence[tuple[int, Ids, int, Ids]]) -> 
     # Vertices that a seam joins are one component of a graph, of which the first vertex stays.
     first = np.cumsum([0, *(len(panel.vertices) for panel in panels)])
     pairs = np.concatenate([np.column_stack([first[i] + a, first[j] + b]) for i, a, j, b in seams])
-    label = joined(pairs, first[-1])
-    _, kept, new = np.unique(label, return_index=True, return_inverse=True)
-    vertices = np.concatenate([panel.vertices for panel in panels])[kept]
+    component = component_of(pairs, first[-1])
+    _, first_of_each, new = np.unique(component, return_index=True, return_inverse=True)
+    vertices = np.concatenate([panel.vertices for panel in panels])[first_of_each]
     maps = [new[a:b] for a, b in itertools.pairwise(first)]
     faces = np.concatenate([ids[panel.faces] for ids, panel in zip(maps, panels, strict=True)])
-    wound = wind(faces)[0]
-    first_turned = bool((wound[0] != faces[0]).any())  # the outside is where the first panel has it
-    return vertices, wound[:, ::-1] if first_turned else wound, maps
+    return vertices, wind(faces), maps
 
 
 def triangulate(
     outline: Sequence[Array], holes: Sequence[Sequence[Array]], spacing: float, fixed: Array
 ) -> tuple[Array, Ids, list[Ids]]:
     """Triangulate a flat pattern; return its vertices (n, 2), faces (f, 3) and borders (ids of the outline and of each hole)."""
-    wide, high = np.ptp(np.concatenate(outline), axis=0)
-    demand(wide * high <= _MOST * spacing**2, f"spacing {spacing} is too fine for a pattern of {wide:g} by {high:g} m")
     # Vertices: the borders at the spacing, those that are fixed, and a lattice inside that keeps clear of both.
     borders = [np.concatenate([_resample(line, spacing) for line in chain]) for chain in (outline, *holes)]
     kept = np.concatenate([*borders, fixed])
@@ -230,7 +231,7 @@ def triangulate(
     lattice = lattice[_inside(lattice, borders) & (cKDTree(kept).query(lattice)[0] > 0.75 * spacing)]
     points = np.concatenate([kept, lattice])
     # Laplacian relaxation: each vertex of the lattice goes to the mean of its neighbours.
-    for _ in range(_ROUNDS):
+    for _ in range(12):
         edges = half_edges(_faces(points, borders, spacing))
         ends = np.concatenate([edges, edges[:, ::-1]])
         count = np.bincount(ends[:, 0], minlength=len(points))[:, None]

@@ -50,30 +50,22 @@ def is_inside(vertices: Array, faces: Ids, place: Array) -> bool:
     return bool(abs(2 * np.arctan2(volume, against).sum()) > 2 * np.pi)
 
 
-def wind(faces: Ids) -> tuple[Ids, int, bool]:
-    """Turn faces so that neighbours run through their common edge in opposite directions.
-
-    trimesh agrees all faces of a component with one of them; the other winding is taken where it turns fewer. Returned are
-    the faces, how many were turned, and whether all neighbours agree now: those of a surface with one side cannot.
-    """
+def wind(faces: Ids) -> Ids:
+    """Return the faces turned so that neighbours run through their common edge in opposite directions; the first is kept."""
     mesh = trimesh.Trimesh(np.zeros((faces.max() + 1, 3)), faces.copy(), process=False)
     trimesh.repair.fix_winding(mesh)
     wound = np.array(mesh.faces, dtype=np.int64)
-    turned = (wound != faces).any(axis=1)
-    component = trimesh.graph.connected_component_labels(mesh.face_adjacency, node_count=len(faces))
-    most_turned = 2 * np.bincount(component, turned) > np.bincount(component)
-    turned ^= most_turned[component]
-    return np.where(turned[:, None], faces[:, ::-1], faces), int(turned.sum()), bool(mesh.is_winding_consistent)
+    return wound if (wound[0] == faces[0]).all() else wound[:, ::-1]
 
 
-def strangers(cycle: Ids, edges: Ids) -> list[tuple[int, int]]:
+def not_joined(cycle: Ids, edges: Ids) -> list[tuple[int, int]]:
     """Return the pairs of vertices that follow each other in a closed cycle and are not joined by an edge (E, 2)."""
     known = set(map(tuple, edges.tolist()))
     pairs = zip(cycle.tolist(), np.roll(cycle, -1).tolist(), strict=True)
     return [(a, b) for a, b in pairs if (min(a, b), max(a, b)) not in known]
 
 
-def joined(pairs: Ids, n: int) -> Ids:
+def component_of(pairs: Ids, n: int) -> Ids:
     """Return (n,) the number of each vertex's component in the graph of these edges (E, 2)."""
     graph = coo_matrix((np.ones(len(pairs)), pairs.T), shape=(n, n))
     _, label = connected_components(graph, directed=False)
@@ -88,7 +80,7 @@ def components(faces: Ids) -> Ids:
     edges, edge_of = np.unique(half_edges(faces), axis=0, return_inverse=True)
     face_of = np.repeat(np.arange(len(faces)), 3)
     ends = np.column_stack([face_of, len(faces) + edge_of.ravel()])
-    return joined(ends, len(faces) + len(edges))[: len(faces)]
+    return component_of(ends, len(faces) + len(edges))[: len(faces)]
 
 
 def border_cycles(faces: Ids) -> list[Ids]:
@@ -230,12 +222,6 @@ def _split(walk: Sequence[int]) -> tuple[list[list[int]], list[int]]:
     return parts, path
 
 
-def demand(holds: bool, otherwise: str) -> None:
-    """Raise ValueError with these words unless a condition holds."""
-    if not holds:
-        raise ValueError(otherwise)
-
-
 def check_mesh(vertices: Array, faces: Ids) -> None:
     """Raise ValueError when a mesh would make the physics engine fail or hang."""
     repeats = (faces == np.roll(faces, 1, axis=1)).any(axis=1)
@@ -259,7 +245,7 @@ def check_loop(loop: Ids, edges: Ids, name: str) -> None:
         raise ValueError(f"{name} must be a cycle of at least 3 vertex ids, not of shape {loop.shape}")
     if len(np.unique(loop)) != len(loop):
         raise ValueError(f"{name} passes through a vertex twice")
-    apart = strangers(loop, edges)
+    apart = not_joined(loop, edges)
     if apart:
         a, b = apart[0]
         raise ValueError(f"{name} is not a closed cycle of the mesh: no edge joins vertices {a} and {b}")

@@ -22,15 +22,16 @@ from topokit._validate import WrongKindError, as_points
 from topokit.io import LOOP_NAMES
 from topokit.linking import side_lengths
 
-from ._garments import WARDROBE, Garment
+from ._garments import Garment
 from ._hung import choose, hang_by_opening, hung
 from ._names import kind, to_hang_by
 from ._path import GripperPath, Via, drawn_about
 from ._surface import Array, EdgeGraph
 from ._targets import Hanger, Hook, Mannequin, Placed, Target
+from ._wardrobe import WARDROBE
 
 Loop = TypeVar("Loop", bound=ArrayLike)
-_SMALL = ("scarf", "belt", "net", "trousers")
+_SMALL = ("scarf", "belt", "net")
 _STRETCH = 1.15  # how far a loop can be stretched, as a multiple of its length
 _REACH = 1.7  # the same for the strip between the grips alone; a coarse apron goes over a head at 1.57
 _log = logging.getLogger("topokit.sim")
@@ -328,7 +329,7 @@ def resolved(task: str | Task | None, garment: Garment | None, target: Target | 
     if target is not None and not isinstance(target, Target):
         raise WrongKindError(f"target must be a Target such as Hook(), not {type(target).__name__}")
     if task is None:
-        task = task_for(garment or Garment.apron(), target or Hook())
+        task = task_for(garment or WARDROBE["apron"](), target or Hook())
     task = as_task(task)
     return task, garment or task.garment(), target or task.target
 

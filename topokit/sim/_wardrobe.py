@@ -1,26 +1,30 @@
-"""The patterns of the wardrobe: which pieces are cut, how they are placed in space and sewn together.
+"""The wardrobe: garments that are cut from flat patterns, placed in space and sewn together.
 
 Idea: a pattern is drawn as polylines and curves in the plane (x, z). `cut` fills it with triangles, `inflate` and `placed` take
 it into space, and `sew` joins pieces along their seams. A border keeps the order in which it is drawn: the border of an opening
-is the true loop. Every function returns the fields of a `Garment`; its sizes are in metres, angles in degrees.
+is a true loop. Sizes are in metres, angles in degrees; sizes that do not fit each other are refused before anything is cut.
 """
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
+import functools
+from collections.abc import Callable, Mapping, Sequence
+from typing import Any
 
 import numpy as np
 
 from topokit._validate import positive
 
+from ._garments import Garment
 from ._pattern import (
     Arch,
     Panel,
     arc_length,
     band,
     chain,
+    circle,
     cut,
-    ellipse,
+    demand,
     inflate,
     mirror,
     points_at,
@@ -28,12 +32,9 @@ from ._pattern import (
     ring,
     sew,
 )
-from ._surface import Array, EdgeGraph, Ids, demand, half_edges
+from ._surface import Array, EdgeGraph, Ids, half_edges
 
-Sewn = tuple[str, Array, Ids, tuple[Ids, ...], Ids, dict[str, float]]
-Fields = Sewn | tuple[str, Array, Ids, tuple[Ids, ...], Ids, dict[str, float], tuple[str, ...], tuple[str, ...]]
-THIRDS = np.array([1 / 3, 2 / 3])
-_COUNTS = ("loops", "handles", "holes", "rows", "columns")
+Sizes = dict[str, float]
 
 
 def apron(
@@ -48,19 +49,17 @@ def apron(
     strap_width: float = 0.052,
     waist_strap_length: float = 0.90,
     waist_strap_width: float = 0.06,
-) -> Fields:
+) -> Garment:
     """Return an apron with one loop, its neck strap, or with two.
 
     It hangs in the plane y = 0 with the top of its bib at z = 0. The true loop is the border of the neck opening. With
     `loops=2` a second strap closes behind the waist (towards +y), and the second true loop runs along its upper border and
     across the apron. The grips are on the neck strap, at a third of its length from either end.
     """
-    sizes = check_sizes(locals(), without=("waist_strap_length", "waist_strap_width") if loops == 1 else ())
-    name = numbered("apron", loops, "loops")
-    # What does not fit is refused before anything is cut.
-    demand(bib_width <= body_width, f"bib_width {bib_width} must not exceed body_width {body_width}")
-    opens = bib_width >= 2 * strap_width + 3 * spacing
-    demand(opens, f"bib_width {bib_width} is too narrow for straps of strap_width {strap_width}")
+    sizes = _sizes(locals(), "loops", *(("waist_strap_length", "waist_strap_width") if loops == 1 else ()))
+    demand(loops in (1, 2), "loops must be 1 or 2")
+    demand(bib_width <= body_width, "bib_width must not exceed body_width")
+    demand(bib_width >= 2 * strap_width + 3 * spacing, "bib_width is too narrow for two straps of strap_width")
     # The neck strap is an arch over the bib.
     arch = Arch.of_length(bib_width - strap_width, strap_length)
     outer, opening, middle = arch.strap(strap_width, spacing, strap_length)
@@ -73,21 +72,20 @@ def apron(
     armhole = np.column_stack([half_body - (half_body - half_bib) * np.sin(angle), waist * np.cos(angle)])
     side = polyline((half_body, hem), (half_body, waist))
     if loops == 2:
-        fits = waist_strap_width + spacing <= body_height
-        demand(fits, f"waist_strap_width {waist_strap_width} is too wide for body_height {body_height}")
+        demand(waist_strap_width + spacing <= body_height, "waist_strap_width is too wide for body_height")
         side = polyline((half_body, hem), (half_body, waist - waist_strap_width), (half_body, waist))
     # The outline runs up the right side, over the strap, down the left side and back along the hem.
     left = [mirror(line) for line in [armhole, *side[::-1]]]
     outline = [*side, armhole, outer, *left, *polyline((-half_body, hem), (half_body, hem))]
     front = cut(outline, [opening], spacing, middle)
-    grips = front.nearest(arch.points(THIRDS))
+    grips = front.nearest(arch.thirds)
     if loops == 1:
-        return name, front.vertices, front.faces, front.holes, grips, sizes
+        return Garment("apron", front.vertices, front.faces, front.holes, grips, sizes, ("neck",))
     vertices, faces, behind = _with_waist_strap(front, sizes)
-    return name, vertices, faces, (front.holes[0], behind), grips, sizes
+    return Garment("apron2", vertices, faces, (front.holes[0], behind), grips, sizes, ("neck", "waist"))
 
 
-def _with_waist_strap(front: Panel, sizes: Mapping[str, float]) -> tuple[Array, Ids, Ids]:
+def _with_waist_strap(front: Panel, sizes: Sizes) -> tuple[Array, Ids, Ids]:
     """Return vertices and faces of an apron with a strap behind, and the loop along the strap and across the apron."""
     length = sizes["waist_strap_length"]
     waist = -sizes["bib_height"]
@@ -113,27 +111,27 @@ def shirt(
     sleeve_length: float = 0.16,
     sleeve_width: float = 0.17,
     sleeve_angle: float = 25.0,
-) -> Fields:
-    """Return a shirt with short sleeves, front towards -y, blown up to `depth`.
+) -> Garment:
+    """Return a shirt with short sleeves that fall by `sleeve_angle`, front towards -y, inflated to `depth`.
 
     The loops are its four openings: neck, right sleeve (x > 0), left sleeve, hem. They make three classes: any three are
-    independent, the fourth is their sum. The sleeves fall by `sleeve_angle`. The grips are on the shoulders of the front.
+    independent, the fourth is their sum. The grips are on the shoulders of the front.
     """
-    sizes = check_sizes(locals())
+    sizes = _sizes(locals())
     half = width / 2
     neck = neck_width / 2
     # Directions along the sleeve, which falls by the angle, and across it downwards.
     angle = np.radians(sleeve_angle)
     along = np.array([np.cos(angle), -np.sin(angle)])
     across = np.array([-np.sin(angle), -np.cos(angle)])
-    demand(neck + spacing <= half, f"neck_width {2 * neck} must be less than the width {2 * half}")
+    demand(neck + spacing <= half, "neck_width must be less than width")
     top = np.array([neck, 0]) + ((half - neck) / along[0] + sleeve_length) * along
     low = top + sleeve_width * across
     underarm = low - (low[0] - half) / along[0] * along
     fits = low[0] - half >= spacing and -length + spacing <= underarm[1]
-    demand(fits, f"sleeve_length {sleeve_length} is too short or sleeve_width {sleeve_width} too wide")
+    demand(fits, "sleeve_length is too short, or sleeve_width too wide")
     right = polyline((half, -length), (half, underarm[1]), low, top, (neck, 0))
-    return ("shirt", *_tunic(sizes, right, (0, 1, 3), neck + 0.5 * (half - neck)), sizes)
+    return _tunic("shirt", sizes, right, (0, 1, 3), neck + 0.5 * (half - neck))
 
 
 def vest(
@@ -146,32 +144,26 @@ def vest(
     neck_depth: float = 0.12,
     shoulder_width: float = 0.08,
     armhole_depth: float = 0.24,
-) -> Fields:
-    """Return a vest without sleeves, front towards -y, blown up to `depth`.
-
-    The loops are its four openings: neck, right armhole (x > 0), left armhole, hem. They make three classes: any three are
-    independent, the fourth is their sum. The grips are on the shoulders of the front.
-    """
-    sizes = check_sizes(locals())
+) -> Garment:
+    """Return a vest without sleeves, front towards -y, inflated to `depth`; loops and grips are those of a shirt."""
+    sizes = _sizes(locals())
     half = width / 2
     neck = neck_width / 2
     tip = np.array([neck + shoulder_width, -0.25 * shoulder_width])
-    demand(tip[0] <= half, f"width {width} is too narrow for the neck and two times shoulder_width {shoulder_width}")
+    demand(tip[0] <= half, "width is too narrow for the neck and two times shoulder_width")
     fits = armhole_depth + spacing <= length and -armhole_depth < tip[1] - 2 * spacing
-    demand(fits, f"armhole_depth {armhole_depth} must lie between the shoulder's drop and length {length}")
+    demand(fits, "armhole_depth must lie between the drop of the shoulder and length")
     # The armhole is a quarter of an ellipse from the side up to the tip of the shoulder.
     bend = np.pi / 2 * np.linspace(0, 1, 181)
     across = half - (half - tip[0]) * np.sin(bend)
     down = (tip[1] + armhole_depth) * (1 - np.cos(bend))
     hole = np.column_stack([across, -armhole_depth + down])
     right = [*polyline((half, -length), hole[0]), hole, *polyline(tip, (neck, 0))]
-    return ("vest", *_tunic(sizes, right, (0, 2), neck + shoulder_width / 2), sizes)
+    return _tunic("vest", sizes, right, (0, 2), neck + shoulder_width / 2)
 
 
-def _tunic(
-    sizes: Mapping[str, float], right: list[Array], seams: Sequence[int], grip: float
-) -> tuple[Array, Ids, tuple[Ids, ...], Ids]:
-    """Return a front (towards -y) and a back of the same right half, from the hem to the neck, joined along its `seams`."""
+def _tunic(name: str, sizes: Sizes, right: list[Array], seams: Sequence[int], grip: float) -> Garment:
+    """Return a front and a back of the same right half, drawn from the hem to the neck, joined along its `seams`."""
     neck = sizes["neck_width"] / 2
     hem = sizes["length"]
     half_width = right[0][0, 0]
@@ -193,7 +185,7 @@ def _tunic(
     rims = tuple(ring(a[front.sides[i]], b[back.sides[i]]) for i in open_sides)
     height = np.interp(grip, *right[-1][::-1].T)
     grips = a[front.nearest(np.array([[-grip, height], [grip, height]]))]
-    return vertices, faces, rims, grips
+    return Garment(name, vertices, faces, rims, grips, sizes, ("neck", "arm 1", "arm 2", "hem"))
 
 
 def mask(
@@ -206,18 +198,18 @@ def mask(
     strap_length: float = 0.34,
     strap_width: float = 0.03,
     strap_span: float = 0.12,
-) -> Fields:
+) -> Garment:
     """Return a face mask with two ear loops, hung by one of them, the other one below.
 
     The cloth is cupped by `depth` towards -y and its sides bow out by `bow`; `strap_span` lies between the middles of a
     strap's ends. There are two classes; the true loops are the borders of the openings, the upper one first. The grips are
     on the upper ear loop.
     """
-    sizes = check_sizes(locals())
+    sizes = _sizes(locals())
     half = width / 2
     low = -height
     fits = strap_span - strap_width >= 2 * spacing and strap_span + strap_width + spacing <= width
-    demand(fits, f"strap_span {strap_span} must leave room for straps of strap_width {strap_width} in width {width}")
+    demand(fits, "strap_span must leave room for straps of strap_width in width")
     arch = Arch.of_length(strap_span, strap_length)
     outer, hole, middle = arch.strap(strap_width, spacing, strap_length)
     side = np.column_stack([half + bow * np.sin(np.pi * np.linspace(0, 1, 91)), np.linspace(low, 0, 91)])
@@ -233,7 +225,8 @@ def mask(
     x, _, z = panel.vertices.T
     dome = np.clip(1 - (x / half) ** 2, 0, 1) * np.clip(1 - (2 * z / low - 1) ** 2, 0, 1)
     vertices = panel.vertices - depth * dome[:, None] * [0, 1, 0]
-    return "mask", vertices, panel.faces, panel.holes, panel.nearest(arch.points(THIRDS)), sizes
+    grips = panel.nearest(arch.thirds)
+    return Garment("mask", vertices, panel.faces, panel.holes, grips, sizes, ("ear 1", "ear 2"))
 
 
 def sheet(
@@ -243,91 +236,32 @@ def sheet(
     width: float = 0.60,
     height: float = 0.50,
     hole_radius: float = 0.08,
-    hole_height: float | None = None,
     hole_drop: float = 0.16,
     hole_distance: float = 0.26,
-) -> Fields:
-    """Return a rectangle of cloth with round holes side by side, with slits, or with none, as an open scarf.
+) -> Garment:
+    """Return a rectangle of cloth with round holes side by side, or with none.
 
     The middles of the holes lie `hole_drop` below the upper edge, z = 0; the true loops are their borders, the left one
-    (x < 0) first. Given a `hole_height`, they are ellipses of that height and twice `hole_radius` wide: slits, upright or level.
-    The grips are the upper corners.
+    (x < 0) first. The grips are the upper corners.
     """
-    given = {**locals(), "hole_distance": None if holes == 1 else hole_distance}
-    sizes = check_sizes(given, without=[name for name in ("hole_distance", "hole_height") if given[name] is None])
-    whole = isinstance(holes, int) and not isinstance(holes, bool) and 0 <= holes <= 20
-    demand(whole, f"holes must be a whole number from 0 to 20, not {holes!r}")
+    sizes = _sizes(locals(), "holes", *(("hole_distance",) if holes == 1 else ()))
     half = width / 2
     low = -height
     gap = hole_distance / 2
-    tall = hole_radius
-    if hole_height is not None:
-        tall = sizes["hole_height"] / 2
     places = [(2 * i - holes + 1) * gap for i in range(holes)]
-    of = f"of hole_radius {hole_radius}"
     room = hole_radius + spacing
-    high = tall + spacing
     if holes:
-        least = 1.2 if tall == hole_radius else 0.5  # slits may be narrower than round holes
-        narrow = "hole_radius" if hole_radius <= tall else "hole_height"
-        demand(min(hole_radius, tall) >= least * spacing, f"{narrow} {sizes[narrow]} is too small for the spacing")
-        demand(high <= hole_drop <= height - high, f"hole_drop {hole_drop} puts a hole {of} over the border")
-        demand(places[-1] + room <= half, f"width {width} has no room for holes {of} at {places}")
-        demand(holes == 1 or gap >= room, f"hole_distance {2 * gap} makes holes {of} meet")
-    rings = [ellipse(place, -hole_drop, hole_radius, tall) for place in places]
+        demand(hole_radius >= 1.2 * spacing, "hole_radius is too small for the spacing")
+        demand(room <= hole_drop <= height - room, "hole_drop puts a hole over the border")
+        demand(places[-1] + room <= half, "width has no room for the holes")
+        demand(holes == 1 or gap >= room, "hole_distance makes holes meet")
+    rings = [circle(place, -hole_drop, hole_radius) for place in places]
     panel = cut(polyline((-half, low), (half, low), (half, 0), (-half, 0), (-half, low)), rings, spacing)
     grips = np.array([panel.sides[3][0], panel.sides[2][0]])
-    name = "sheet" if holes == 1 else f"sheet{holes}"
-    return name, panel.vertices, panel.faces, panel.holes, grips, sizes
-
-
-def trousers(
-    *,
-    spacing: float = 0.035,
-    waist_width: float = 0.38,
-    length: float = 0.80,
-    rise: float = 0.26,
-    leg_width: float = 0.20,
-    leg_angle: float = 6.0,
-    depth: float = 0.14,
-    loop_length: float = 0.40,
-    loop_width: float = 0.05,
-    loop_span: float = 0.16,
-) -> Fields:
-    """Return trousers, front towards -y, with a large loop at the back of the waist to hang them by.
-
-    The loops are the opening under that loop, the waist, and the ends of the right leg (x > 0) and the left: three classes, of
-    the last three each is the sum of the others. `rise` is from waist to crotch; the legs spread by `leg_angle`. The grips are
-    on the loop.
-    """
-    sizes = check_sizes(locals())
-    half = waist_width / 2
-    low = -length
-    spread = (length - rise) * np.tan(np.radians(leg_angle))
-    # The crotch is two spacings wide, so that the legs do not touch.
-    inner = np.array([spread + spacing, low])
-    crotch = np.array([spacing, -rise])
-    outer = inner + [leg_width, 0]
-    fits = rise + 2 * spacing <= length and 2 * spacing <= leg_width
-    demand(fits, f"rise {rise} must be less than length {length}, and leg_width {leg_width} twice the spacing at least")
-    fits = 2 * spacing <= loop_span - loop_width and loop_span + loop_width + 2 * spacing <= waist_width
-    demand(fits, f"loop_span {loop_span} must leave room for a loop of loop_width {loop_width} in {waist_width}")
-    arch = Arch.of_length(loop_span, loop_length, "loop_length")
-    over, opening, middle = arch.strap(loop_width, spacing, loop_length)
-    legs = polyline((-half, 0), outer * [-1, 1], inner * [-1, 1], crotch * [-1, 1], crotch, inner, outer, (half, 0))
-    seams = (0, 2, 3, 4, 6)  # all but the ends of the legs, 1 and 5
-    # The back is the front with the loop on top of its waist.
-    front = cut([*legs, *polyline((half, 0), (-half, 0))], [], spacing)
-    top = [*polyline((half, 0), over[0]), over, *polyline(over[-1], (-half, 0))]
-    back = cut([*legs, *top], [opening], spacing, middle)
-    grips = back.nearest(arch.points(THIRDS))
-    pieces = [inflate(front, seams, depth / 2), inflate(back, seams, depth / 2, top=0.0).mirrored()]
-    vertices, faces, (a, b) = sew(pieces, [(0, front.sides[i], 1, back.sides[i]) for i in seams])
-    ends = [ring(a[front.sides[i]], b[back.sides[i]]) for i in (5, 1)]
-    # The waist runs beneath the loop at the back: along the edges between the loop's ends.
-    beneath = EdgeGraph(pieces[1].vertices, half_edges(back.faces)).path(int(back.sides[8][0]), int(back.sides[8][-1]))
-    waist = chain(back.sides[7], np.array(beneath), back.sides[9])
-    return "trousers", vertices, faces, (b[back.holes[0]], ring(a[front.sides[7]], b[waist]), *ends), b[grips], sizes
+    names = tuple(f"hole {i + 1}" for i in range(holes))
+    if holes == 1:
+        return Garment("sheet", panel.vertices, panel.faces, panel.holes, grips, sizes, ("hole",))
+    return Garment(f"sheet{holes}", panel.vertices, panel.faces, panel.holes, grips, sizes, names)
 
 
 def tote(
@@ -340,7 +274,7 @@ def tote(
     handle_length: float | None = None,
     handle_width: float = 0.052,
     handle_span: float = 0.20,
-) -> Fields:
+) -> Garment:
     """Return a bag open at its top, whose panels bulge to `depth`, with one handle or two.
 
     A tote has as many classes as handles: the bag closes its open top. One handle runs over the top from side to side; of
@@ -348,20 +282,20 @@ def tote(
     opening under a handle. The grips are on the one handle, or one on each of the two. When `handle_length` is not given, one
     handle is 0.72 m long, and each of two 0.50 m.
     """
+    demand(handles in (1, 2), "handles must be 1 or 2")
     if handle_length is None:
         handle_length = 0.72 if handles == 1 else 0.50
-    sizes = check_sizes(locals(), without=("handle_span",) if handles == 1 else ())
-    name = numbered("tote", handles, "handles")
+    sizes = _sizes(locals(), "handles", *(("handle_span",) if handles == 1 else ()))
     half = width / 2
     sides = polyline((-half, 0), (-half, -height), (half, -height), (half, 0))
     if handles == 2:
         return _tote_of_two(sizes, sides)
     vertices, faces, (handle, *_), grips = _tote_of_one(sizes, sides, [])
-    return name, vertices, faces, (handle,), grips, sizes
+    return Garment("tote", vertices, faces, (handle,), grips, sizes, ("handle",))
 
 
 def _tote_of_one(
-    sizes: Mapping[str, float], sides: list[Array], holes: Sequence[Sequence[Array]]
+    sizes: Sizes, sides: list[Array], holes: Sequence[Sequence[Array]]
 ) -> tuple[Array, Ids, list[Ids], Ids]:
     """Return vertices, faces, loops (handle, rim, the holes of the front and of the back) and grips of a bag with one handle."""
     spacing = sizes["spacing"]
@@ -369,8 +303,7 @@ def _tote_of_one(
     half = width / 2
     handle_length = sizes["handle_length"]
     handle_width = sizes["handle_width"]
-    fits = handle_width <= width - 2 * spacing
-    demand(fits, f"handle_width {handle_width} must be less than width {width} by twice the spacing {spacing}")
+    demand(handle_width <= width - 2 * spacing, "handle_width must be less than width by twice the spacing")
     # The panels: the ends of the handle stand in the upper corners, half of each on either panel.
     top = polyline((half, 0), (half - handle_width / 2, 0), (handle_width / 2 - half, 0), (-half, 0))
     panel = cut([*sides, *top], holes, spacing)
@@ -378,7 +311,7 @@ def _tote_of_one(
     # The handle: a straight band bent along an arch from side to side.
     arch = Arch.of_length(width, handle_length, "handle_length")
     strap, low, _, start, end = band([handle_length], [handle_width / 2, handle_width / 2], spacing)
-    grips = strap.nearest(np.column_stack([handle_length * THIRDS, [-handle_width / 2] * 2]))
+    grips = strap.nearest(np.column_stack([handle_length * np.array([1 / 3, 2 / 3]), [-handle_width / 2] * 2]))
     over = arch.points(strap.vertices[:, 0] / handle_length)
     cloth = strap.placed(lambda v: np.column_stack([over[:, 0], v[:, 2] + handle_width / 2, over[:, 1]]))
     # Sew the panels along sides and bottom, and half of each end of the handle to either panel.
@@ -392,14 +325,14 @@ def _tote_of_one(
     return vertices, faces, [*loops, *(ids[hole] for ids in (a, b) for hole in panel.holes)], c[grips]
 
 
-def _tote_of_two(sizes: dict[str, float], sides: list[Array]) -> Fields:
+def _tote_of_two(sizes: Sizes, sides: list[Array]) -> Garment:
     """Return a bag with a handle on each of its panels, cut in one piece with it."""
     half = sizes["width"] / 2
     spacing = sizes["spacing"]
     span = sizes["handle_span"]
     width = sizes["handle_width"]
     fits = 2 * spacing <= span - width and span + width <= 2 * half - 2 * spacing
-    demand(fits, f"handle_span {span} must leave room for handles of handle_width {width} in width {2 * half}")
+    demand(fits, "handle_span must leave room for handles of handle_width in width")
     arch = Arch.of_length(span, sizes["handle_length"], "handle_length")
     outer, opening, middle = arch.strap(width, spacing, sizes["handle_length"])
     top = [*polyline((half, 0), outer[0]), outer, *polyline(outer[-1], (-half, 0))]
@@ -409,7 +342,8 @@ def _tote_of_two(sizes: dict[str, float], sides: list[Array]) -> Fields:
     vertices, faces, (a, b) = sew([front, front.mirrored()], seams)
     held = panel.nearest(arch.points(np.array([0.42, 0.58])))  # one on each handle, so that both stay up
     loops = (a[panel.holes[0]], b[panel.holes[0]])
-    return "tote2", vertices, faces, loops, np.array([a[held[0]], b[held[1]]]), sizes
+    grips = np.array([a[held[0]], b[held[1]]])
+    return Garment("tote2", vertices, faces, loops, grips, sizes, ("handle 1", "handle 2"))
 
 
 def backpack(
@@ -422,38 +356,37 @@ def backpack(
     strap_length: float = 0.66,
     strap_width: float = 0.05,
     strap_angle: float = 40.0,
-) -> Fields:
+) -> Garment:
     """Return a backpack open at its top: a back, a box below its lower half, two straps.
 
     The straps join the sides of the back at its top and just above the box, and are folded by `strap_angle` from the plane
     of the back towards +y. There are two classes; each true loop is the border of the opening between a strap and the back,
     the left one (x < 0) first. There is one grip on each strap.
     """
-    sizes = check_sizes(locals())
+    sizes = _sizes(locals())
     half = width / 2
     low = -height
     rim = low + box_height
     span = -rim - 2 * strap_width
-    opens = span - strap_width >= 2 * spacing
-    demand(opens, f"height {height} is too low for straps of strap_width {strap_width} above box_height {box_height}")
+    demand(span - strap_width >= 2 * spacing, "height is too low for straps of strap_width above box_height")
     arch = Arch.of_length(span, strap_length)
 
-    def aside(line: Array) -> Array:
+    def to_the_right(line: Array) -> Array:
         """Return a line drawn above the origin, moved to the right side of the back."""
         return line[:, ::-1] * [1, -1] + [half, rim / 2]
 
     # The back, with a strap on either side, is cut flat; then the straps are folded away from its plane.
     outer, hole, middle = arch.strap(strap_width, spacing, strap_length)
-    outer = aside(outer)
-    hole = [aside(line) for line in hole]
-    middle = aside(middle)
+    outer = to_the_right(outer)
+    hole = [to_the_right(line) for line in hole]
+    middle = to_the_right(middle)
     right = [*polyline((half, low), (half, rim), outer[0]), outer, *polyline(outer[-1], (half, 0))]
     top = polyline((half, 0), (-half, 0))
     bottom = polyline((-half, low), (half, low))
     outline = [*right, *top, *(mirror(line) for line in right[::-1]), *bottom]
     holes = [hole, [mirror(line) for line in hole]]
     back = cut(outline, holes, spacing, np.concatenate([middle, mirror(middle)]))
-    held = aside(arch.points(np.array([0.6])))
+    held = to_the_right(arch.points(np.array([0.6])))
     grips = back.nearest(np.concatenate([held * [-1, 1], held]))
     back = back.placed(lambda v: _folded(v, half, np.radians(strap_angle)))
     # The gusset, a band around three sides of the box, stands upright between back and front.
@@ -468,7 +401,8 @@ def backpack(
     front = inflate(front, (0, 1, 2), depth / 4).placed(lambda v: v - [0, depth, 0])
     seams = [(2, edge, 1, high_edge), (0, front_edge, 1, low_edge)]
     vertices, faces, (*_, a) = sew([front, sides, back], seams)
-    return "backpack", vertices, faces, (a[back.holes[1]], a[back.holes[0]]), a[grips], sizes
+    straps = (a[back.holes[1]], a[back.holes[0]])
+    return Garment("backpack", vertices, faces, straps, a[grips], sizes, ("strap 1", "strap 2"))
 
 
 def _folded(vertices: Array, half: float, angle: float) -> Array:
@@ -480,8 +414,6 @@ def _folded(vertices: Array, half: float, angle: float) -> Array:
 
 def net(
     *,
-    rows: int = 3,
-    columns: int = 3,
     spacing: float = 0.025,
     width: float = 0.40,
     height: float = 0.42,
@@ -489,37 +421,32 @@ def net(
     mesh_radius: float = 0.042,
     handle_length: float = 0.72,
     handle_width: float = 0.05,
-) -> Fields:
-    """Return a net bag with one handle from side to side: each panel has `rows` times `columns` round meshes in even steps.
+) -> Garment:
+    """Return a net bag with one handle from side to side; each panel has three rows of three round meshes.
 
     The true loops are the opening under the handle, the rim, and every mesh of the front, then of the back, row by row from
-    the lower left. The rim's class is the sum of the meshes'. The grips are on the handle.
+    the lower left. The class of the rim is the sum of those of the meshes. The grips are on the handle.
     """
-    sizes = check_sizes(locals())
-    for name, count in (("rows", rows), ("columns", columns)):
-        whole = isinstance(count, int) and not isinstance(count, bool) and 1 <= count <= 12
-        demand(whole, f"{name} must be a whole number from 1 to 12, not {count!r}")
-    demand(mesh_radius >= 1.2 * spacing, f"mesh_radius {mesh_radius} is too small for the spacing {spacing}")
-    across = width / columns
-    down = height / rows
-    fits = min(across, down) >= 2 * mesh_radius + spacing
-    demand(fits, f"mesh_radius {mesh_radius} leaves no cord in {rows} rows and {columns} columns")
-    places = [((i + 0.5) * across - width / 2, (j + 0.5) * down - height) for j in range(rows) for i in range(columns)]
-    meshes = [ellipse(x, z, mesh_radius, mesh_radius) for x, z in places]
+    sizes = _sizes(locals())
+    demand(mesh_radius >= 1.2 * spacing, "mesh_radius is too small for the spacing")
+    across = width / 3
+    down = height / 3
+    demand(min(across, down) >= 2 * mesh_radius + spacing, "mesh_radius leaves no cord between the meshes")
+    places = [((i + 0.5) * across - width / 2, (j + 0.5) * down - height) for j in range(3) for i in range(3)]
+    meshes = [circle(x, z, mesh_radius) for x, z in places]
     sides = polyline((-width / 2, 0), (-width / 2, -height), (width / 2, -height), (width / 2, 0))
     vertices, faces, loops, grips = _tote_of_one(sizes, sides, meshes)
-    names = "handle", "rim", *(f"mesh {i + 1}" for i in range(2 * len(places)))
-    return "net", vertices, faces, tuple(loops), grips, sizes, (), names
+    names = ("handle", "rim", *(f"mesh {i + 1}" for i in range(18)))
+    return Garment("net", vertices, faces, tuple(loops), grips, sizes, names)
 
 
-def scarf(*, spacing: float = 0.03, length: float = 1.3, width: float = 0.26) -> Fields:
+def scarf(*, spacing: float = 0.03, length: float = 1.3, width: float = 0.26) -> Garment:
     """Return an endless scarf (a snood): a band of that `width`, `length` around, as an ellipse twice as high as wide.
 
-    There is one class; the true loop is the front border of the band.
-    The grips are on that border, near its top. An open scarf has no loops: a `sheet` without holes.
+    There is one class; the true loop is the front border of the band. The grips are on that border, near its top.
     """
-    sizes = check_sizes(locals())
-    demand(length >= 8 * spacing, f"length {length} is too short for spacing {spacing}")
+    sizes = _sizes(locals())
+    demand(length >= 8 * spacing, "length is too short for the spacing")
     panel, low, _, start, end = band([length], [width], spacing)
     # The band is bent along an ellipse of its own length.
     angle = np.linspace(0, 2 * np.pi, 2881)
@@ -529,7 +456,7 @@ def scarf(*, spacing: float = 0.03, length: float = 1.3, width: float = 0.26) ->
     cloth = panel.placed(lambda v: np.column_stack([around[:, 0], v[:, 2] + width / 2, around[:, 1]]))
     vertices, faces, (ids,) = sew([cloth], [(0, start, 0, end)])
     held = [int(np.argmin(np.abs(panel.vertices[low, 0] / length - at))) for at in (1 / 16, 15 / 16)]
-    return "scarf", vertices, faces, (ids[low[:-1]],), ids[low[held]], sizes
+    return Garment("scarf", vertices, faces, (ids[low[:-1]],), ids[low[held]], sizes, ("neck",))
 
 
 def belt(
@@ -539,39 +466,47 @@ def belt(
     width: float = 0.06,
     loop_radius: float = 0.07,
     loop_width: float = 0.035,
-) -> Fields:
+) -> Garment:
     """Return a strap of cloth with a loop at its upper end, a ring of `loop_radius` inside and `loop_width`.
 
     The true loop is the inner border of the ring. The grips are on the ring, left and right of its top.
     """
-    sizes = check_sizes(locals())
+    sizes = _sizes(locals())
     outer = loop_radius + loop_width
-    demand(loop_radius >= 1.2 * spacing, f"loop_radius {loop_radius} is too small for the spacing {spacing}")
-    demand(loop_width >= 1.2 * spacing, f"loop_width {loop_width} is too small for the spacing {spacing}")
-    demand(2 * spacing <= width <= 1.6 * outer, f"width {width} must be {2 * spacing:g} to {1.6 * outer:g}")
-    # The ring's outer border begins and ends where it meets the strap.
+    demand(loop_radius >= 1.2 * spacing, "loop_radius is too small for the spacing")
+    demand(loop_width >= 1.2 * spacing, "loop_width is too small for the spacing")
+    demand(2 * spacing <= width <= 1.6 * outer, f"width must be {2 * spacing:g} to {1.6 * outer:g}")
+    # The outer border of the ring begins and ends where it meets the strap.
     foot = np.arcsin(width / 2 / outer)
     angle = np.linspace(foot - np.pi / 2, 3 * np.pi / 2 - foot, 361)
     around = outer * np.column_stack([np.cos(angle), np.sin(angle)])
     low = -outer - length
     strap = polyline((-width / 2, low), (width / 2, low), around[0])
     back = polyline(around[-1], (-width / 2, low))
-    panel = cut([*strap, around, *back], [ellipse(0, 0, loop_radius, loop_radius)], spacing)
+    panel = cut([*strap, around, *back], [circle(0, 0, loop_radius)], spacing)
     held = (loop_radius + loop_width / 2) * np.array([[-0.5, 0.75**0.5], [0.5, 0.75**0.5]])
-    return "belt", panel.vertices, panel.faces, panel.holes, panel.nearest(held), sizes
+    return Garment("belt", panel.vertices, panel.faces, panel.holes, panel.nearest(held), sizes, ("loop",))
 
 
-def check_sizes(given: Mapping[str, float | None], without: Sequence[str] = ()) -> dict[str, float]:
-    """Return the sizes among a function's arguments, each a positive number; an angle lies between 0 and 80 degrees."""
-    sizes = {}
-    for name in [name for name in given if name not in {*_COUNTS, *without}]:
-        angle = name.endswith("_angle")
-        sizes[name] = positive(given[name], name, zero=angle)  # type: ignore[arg-type]
-        demand(not angle or sizes[name] <= 80, f"{name} must be 0 to 80 degrees, not {sizes[name]}")
-    return sizes
+def _sizes(given: Mapping[str, Any], *left_out: str) -> Sizes:
+    """Return the sizes among the arguments of a function, each a positive number; an angle may be 0."""
+    names = [name for name in given if name not in left_out]
+    return {name: positive(given[name], name, zero=name.endswith("_angle")) for name in names}
 
 
-def numbered(kind: str, number: int, name: str) -> str:
-    """Return the name of a garment with one or two of something: "apron" or "apron2"."""
-    demand(number in (1, 2), f"{name} must be 1 or 2, not {number!r}")
-    return kind if number == 1 else f"{kind}{number}"
+WARDROBE: Mapping[str, Callable[..., Garment]] = {
+    "apron": apron,
+    "apron2": functools.partial(apron, loops=2),
+    "tote": tote,
+    "tote2": functools.partial(tote, handles=2),
+    "backpack": backpack,
+    "shirt": shirt,
+    "vest": vest,
+    "mask": mask,
+    "sheet": sheet,
+    "sheet2": functools.partial(sheet, holes=2),
+    "scarf": scarf,
+    "belt": belt,
+    "net": net,
+}
+"""Functions that make the garments, by the names that episodes record: ``WARDROBE["apron"](spacing=0.04)``."""
