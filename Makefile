@@ -14,7 +14,7 @@ export PIP_DISABLE_PIP_VERSION_CHECK = 1
 # The packages of a dependency group of pyproject.toml.
 group = $(shell $(PYTHON) -c 'import tomllib; print(*tomllib.load(open("pyproject.toml", "rb"))["dependency-groups"]["$(1)"])')
 
-.PHONY: help book pdf check-book test lint lab env opengl clean
+.PHONY: help book pdf check-book test lint lab env clean
 .DEFAULT_GOAL := help
 
 help:
@@ -37,10 +37,7 @@ $(VENV)/ready: requirements.txt requirements-torch.txt pyproject.toml
 	@$(BIN)/python -m pip install --quiet --no-deps --no-build-isolation --editable .
 	@touch $@
 
-opengl: env
-	@$(BIN)/python -c 'from topokit.view import pyvista_works; ok, why = pyvista_works(); ok or print("topokit:", why)'
-
-book: env opengl
+book: env
 	@$(BIN)/python book/experiments/report.py book/results/motion.json --out book/report >/dev/null
 	@rm -rf _build/html
 	@$(BIN)/python book/ahead.py
@@ -60,7 +57,7 @@ $(BROWSER)/ready: pyproject.toml
 check-book: $(BROWSER)/ready
 	$(BROWSER)/bin/pytest -o addopts= -o filterwarnings= -ra -n auto book/tests
 
-test: env opengl lint
+test: env lint
 	$(BIN)/python -m pytest -n auto --dist loadfile
 	$(BIN)/python -m pytest -n auto --nbmake notebooks/ -o addopts=""
 
@@ -76,7 +73,7 @@ $(VENV)/lab: $(VENV)/ready
 	@$(BIN)/python -m pip install --quiet --require-hashes --no-deps --requirement requirements.txt
 	@touch $@
 
-lab: $(VENV)/lab opengl
+lab: $(VENV)/lab
 	@$(BIN)/python book/lab.py
 	$(BIN)/jupyter lab --ServerApp.root_dir=$(CURDIR)/runs/lab --LabApp.default_url=/lab/tree/$(firstword $(sort $(wildcard notebooks/*.ipynb)))
 

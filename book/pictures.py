@@ -4,8 +4,11 @@ from __future__ import annotations
 
 import sys
 from pathlib import Path
+from typing import Any
 
 import numpy as np
+from matplotlib.backends.backend_agg import FigureCanvasAgg
+from matplotlib.figure import Figure
 from PIL import Image
 
 import topokit as tk
@@ -23,34 +26,44 @@ def main() -> None:
     every_task(HERE.parent / "data_small" / "dataset")
     episode = load_episode(HERE.parent / "data_small" / "apron_hook_0.npz")
     states = tk.track(episode.points, times=episode.times)
-    rods = Hook().rods
+    hook = {"centre_line": Hook().centre_line[1:], "thickness": Hook().rods[0][2]}  # the pole's foot is far below
     pictures = [
-        view.render_cloth(
+        _drawn(
             episode.points[frame],
             episode.faces,
             rest=episode.points[0],
             loops=states[frame].loops,
             true_loops=episode.loops,
-            rods=rods[1:],  # the pole's foot is far below
+            **hook,
             size=(420, 620),
-            zoom=0.8,
+            zoom=1.15,
             focus=episode.points[frame].mean(axis=0) + [0, 0.06, -0.02],
         )
         for frame in FRAMES
     ]
     _side_by_side(pictures).save(HERE / "_static" / "apron.png", optimize=True)
-    view.save_animation(
-        HERE / "_static" / "apron.gif",
-        episode,
-        states,
-        rods=rods[1:],
-        every=3,
-        size=(320, 400),
-        focus=episode.points.reshape(-1, 3).mean(axis=0) + [0, 0.05, 0.05],
+    focus = episode.points.reshape(-1, 3).mean(axis=0) + [0, 0.05, 0.05]
+    film = [
+        _drawn(
+            episode.points[frame],
+            episode.faces,
+            rest=episode.points[0],
+            loops=states[frame].loops,
+            true_loops=episode.loops,
+            **hook,
+            size=(320, 400),
+            zoom=1.25,
+            focus=focus,
+        ).quantize(160, Image.Quantize.FASTOCTREE)
+        for frame in range(0, len(episode), 3)
+    ]
+    pause = round(3000 * episode.dt)
+    film[0].save(
+        HERE / "_static" / "apron.gif", save_all=True, append_images=film[1:], duration=pause, loop=0, optimize=True
     )
     garments = [make() for make in WARDROBE.values()]
-    look = {"size": (300, 340), "view": (-65, 18), "zoom": 0.9}
-    drawn = [view.render_cloth(g.vertices, g.faces, rest=g.vertices, true_loops=g.loops, **look) for g in garments]
+    look = {"size": (300, 340), "view": (-65, 18), "zoom": 1.0}
+    drawn = [_drawn(g.vertices, g.faces, rest=g.vertices, true_loops=g.loops, **look) for g in garments]
     _grid(drawn, 7).quantize(255).save(HERE / "_static" / "wardrobe.png", optimize=True)
 
 
@@ -65,18 +78,18 @@ def every_task(folder: Path, moments: int = 20) -> None:
         x, y, z = TASKS[task].target.seat
         states = dataset.states(numbers[task], "full")
         frames = np.linspace(10, len(episode) - 1, moments).astype(int)
-        rods = [rod for rod in TASKS[task].target.rods if min(rod[0][2], rod[1][2]) > 0]  # without feet on the floor
         columns.append(
             [
-                view.render_cloth(
+                _drawn(
                     episode.points[frame],
                     episode.faces,
                     rest=episode.points[0],
                     loops=states[frame].loops,
                     true_loops=episode.loops,
-                    rods=rods,
+                    centre_line=episode.centre_line,
+                    thickness=TASKS[task].target.rods[0][2],
                     size=(200, 250),
-                    zoom=0.75,
+                    zoom=0.95,
                     focus=[x, y - 0.2, z - 0.25],
                 )
                 for frame in frames
@@ -91,6 +104,15 @@ def every_task(folder: Path, moments: int = 20) -> None:
     small[0].save(
         HERE / "_static" / "tasks.gif", save_all=True, append_images=small[1:], duration=pauses, loop=0, optimize=True
     )
+
+
+def _drawn(points: np.ndarray, faces: np.ndarray, *, size: tuple[int, int], **look: Any) -> Image.Image:
+    """Return a picture of a cloth of so many pixels."""
+    figure = Figure(figsize=(size[0] / 100, size[1] / 100), dpi=100)
+    canvas = FigureCanvasAgg(figure)
+    view.plot_cloth(points, faces, ax=figure.add_axes((0.0, 0.0, 1.0, 1.0), projection="3d"), **look)
+    canvas.draw()
+    return Image.fromarray(np.asarray(canvas.buffer_rgba())[..., :3].copy())
 
 
 def _grid(pictures: list[Image.Image], columns: int = 7) -> Image.Image:

@@ -58,7 +58,7 @@ def hanging() -> view.HtmlFigure:
     episode = apron()
     actions = np.tile(episode.grippers[80], (1, 2, 3, 1, 1))
     clouds = np.tile(episode.points[80], (1, 2, 2, 1, 1))
-    return view.plans(episode, 80, actions, clouds, [1, 3], episode.loops[0])
+    return figures.plans(episode, 80, actions, clouds, [1, 3], episode.loops[0])
 
 
 def tube_film() -> tuple[np.ndarray, np.ndarray]:
@@ -98,7 +98,7 @@ PAGES = {
     "turning": lambda: figures.turning({"</script>": np.eye(3)[None]}, np.eye(3), np.eye(3), [0], [1, 2, 3]),
     "leak": lambda: figures.leak(np.eye(3), np.eye(3), [1, 1, 1], [0, 0, 1], [1, 2, 1], ["</script>", "b", "c"], 0.1),
     "player": lambda: view.player(replace(apron(), garment="an </script> apron"), track(apron().observed[:, ::9])),
-    "wardrobe": lambda: view.wardrobe({"a mask": WARDROBE["mask"]()}),
+    "wardrobe": lambda: figures.wardrobe({"a mask": WARDROBE["mask"]()}),
     "plans": hanging,
 }
 

@@ -9,16 +9,17 @@ from __future__ import annotations
 import base64
 import html
 import json
-from collections.abc import Iterator, Mapping, Sequence
+from collections.abc import Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
 import numpy as np
-from numpy.typing import NDArray
+from numpy.typing import ArrayLike, NDArray
 
 from topokit._archive import atomic_file
-from topokit.view._looks import loop_colour
+
+from ._looks import cloth_marks, loop_colour
 
 _PARTS = Path(__file__).parent
 
@@ -77,6 +78,34 @@ class HtmlFigure:
         for part, text in parts.items():
             page = page.replace(f"__{part}__", text)
         return cls(page, height, title)
+
+    @staticmethod
+    def cloth(points: ArrayLike, faces: ArrayLike, loops: Iterable[ArrayLike] = ()) -> dict[str, Any]:
+        """Return the data of a cloth for `mesh.js`, for a figure in which the reader turns it.
+
+        Parameters
+        ----------
+        points : (T, N, 3) array_like
+            The vertices in every frame, metres, z up.
+        faces : (F, 3) array_like of int
+            The triangles.
+        loops : iterable of (L,) array_like of int
+            The true loops, as closed cycles of vertex ids.
+        """
+        vertices = np.asarray(points, dtype=np.float64)
+        corners = np.reshape(faces, (-1, 3)).astype(np.int64)
+        low = vertices.min(axis=(0, 1))
+        high = vertices.max(axis=(0, 1))
+        marks = cloth_marks(vertices[0], corners, smooth=True)
+        return {
+            "frames": len(vertices),
+            "points": pack_coordinates(vertices),
+            "faces": corners,
+            "centre": ((low + high) / 2).tolist(),
+            "radius": float(np.linalg.norm(high - low) / 2) or 1.0,
+            "marks": [{"face": face, "ends": pack_coordinates(ends), "bright": bright} for face, ends, bright in marks],
+            "truth": [np.asarray(loop).tolist() for loop in loops],
+        }
 
     def _repr_html_(self) -> str:
         source = html.escape(self.page, quote=True)

@@ -13,8 +13,6 @@ from scipy.sparse.csgraph import dijkstra
 from topokit._validate import Array, Ids
 from topokit.sampling import farthest_point_sample
 
-CHECK_BRIGHTNESS = 0.82
-SEAM_BRIGHTNESS = 0.5
 _OKABE_ITO = ("#D55E00", "#0072B2", "#009E73", "#CC79A7", "#E69F00", "#56B4E9")  # colours that everybody can tell apart
 
 
@@ -32,7 +30,7 @@ def cloth_marks(points: Array, faces: Ids, *, smooth: bool) -> list[tuple[Ids, A
     # cloth that hangs has folds everywhere; only cloth at rest has seams at its sharp folds
     least_cosine = 0.35 if smooth else -2.0
     seam_faces, seam_ends = _seams(halves, face_normals(points[faces]), least_cosine)
-    return [(check_faces, check_ends, CHECK_BRIGHTNESS), (seam_faces, seam_ends, SEAM_BRIGHTNESS)]
+    return [(check_faces, check_ends, 0.82), (seam_faces, seam_ends, 0.5)]
 
 
 def face_normals(corners: Array) -> Array:
@@ -107,10 +105,10 @@ def _seams(halves: Ids, normals: Array, least_cosine: float) -> tuple[Ids, Array
     return drawn // 3, ends
 
 
-def shadow(points: Array) -> tuple[Array, float]:
+def shadow(points: Array, *, seen_from_above: bool) -> tuple[Array, float]:
     """Return (k, 32, 3) ellipses on the floor z = 0, each inside the one before, and the darkness of one; k = 0 below it."""
     nothing = np.zeros((0, 32, 3)), 0.0
-    if len(points) < 2:
+    if len(points) < 2 or not seen_from_above:
         return nothing
     size = float(np.ptp(points, axis=0).max())
     height = float(points[:, 2].min())

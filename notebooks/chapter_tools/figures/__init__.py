@@ -1,6 +1,7 @@
 """Figures that the chapters alone show: the data-flow picture, clouds and films under the reader's hand, and lunes."""
 
 from .films import leak, planning, repaint, treatments, turning
+from .garments import plans, wardrobe
 from .lune_plots import plot_lens, plot_lune
 from .pages import (
     belief,
@@ -40,6 +41,7 @@ __all__ = [
     "motion",
     "nudge",
     "planning",
+    "plans",
     "plot_lens",
     "plot_lune",
     "repaint",
@@ -49,4 +51,5 @@ __all__ = [
     "treatments",
     "turning",
     "verdicts",
+    "wardrobe",
 ]
