@@ -8,4 +8,4 @@ packages=$("$python" -c 'import tomllib; print(*tomllib.load(open("pyproject.tom
 "$python" -m venv --clear .venv-neighbours
 "$python" -c "import site; print(site.getsitepackages()[0])" >.venv-neighbours/lib/python3.11/site-packages/beside.pth
 .venv-neighbours/bin/python -m pip install --quiet $packages
-.venv-neighbours/bin/python -m pytest -o addopts=-ra tests/test_compat.py tests/test_coming_from.py tests/test_tracking.py
+.venv-neighbours/bin/python -m pytest -o addopts=-ra tests/test_coming_from.py tests/test_tracking.py

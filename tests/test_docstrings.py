@@ -25,7 +25,6 @@ FACES = (
     "topokit.mixture",
     "topokit.linking",
     "topokit.io",
-    "topokit.compat",
     "topokit.sensors",
     "topokit.lemmas",
     "topokit.sim",

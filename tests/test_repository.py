@@ -148,7 +148,6 @@ LAYERS = [
     {"seqph"},
     {"sensors"},
     {"io"},
-    {"compat"},
     {"lemmas"},
     {"sim"},
     {"data"},

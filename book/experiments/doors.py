@@ -1,4 +1,4 @@
-"""Time neighbours, and topokit behind the same door: book/results/doors.json.
+"""Time neighbours and topokit at the same work: book/results/doors.json.
 
     python book/experiments/doors.py
 
@@ -27,14 +27,13 @@ for name in ("OMP_NUM_THREADS", "OPENBLAS_NUM_THREADS", "NUMBA_NUM_THREADS"):
 
 import numpy as np
 import torch
-from sklearn.base import TransformerMixin
 from sklearn.ensemble import RandomForestClassifier
 from sklearn.model_selection import StratifiedGroupKFold, cross_val_score
 from sklearn.pipeline import make_pipeline
+from sklearn.preprocessing import FunctionTransformer
 
 import topokit as tk
 from topokit._archive import atomic_file
-from topokit.compat import LoopFeatures, births_and_deaths, ripser
 from topokit.data import Dataset
 
 from _rips_clouds import cloud
@@ -58,31 +57,32 @@ def works() -> dict[str, Work]:
         tree.compute_persistence()
         return tree.flag_persistence_generators()
 
-    def step(loops: Callable[[torch.Tensor], Any]) -> Any:
+    def our_generators(points: np.ndarray) -> Any:
+        diagram = tk.rips_persistence(points)
+        return [np.hstack([diagram.birth_edge[:, ::-1], diagram.killer_edge[:, ::-1]])]
+
+    def gradient(edges: Any) -> Any:
         points = torch.tensor(small, requires_grad=True)
-        bars = loops(points)
+        ends = torch.tensor(edges).reshape(-1, 2, 2)
+        bars = (points[ends[..., 0]] - points[ends[..., 1]]).norm(dim=-1) / 2
         (bars[:, 1] - bars[:, 0]).sum().backward()
         return points.grad
-
-    def by_gudhi(points: torch.Tensor) -> torch.Tensor:
-        edges = torch.tensor(generators(points.detach().numpy())[1][0]).reshape(-1, 2, 2)
-        return (points[edges[..., 0]] - points[edges[..., 1]]).norm(dim=-1) / 2
 
     return {
         "ripser.py": (
             "degrees 0 and 1 of 500 points",
             lambda: theirs(apron)["dgms"][1],
-            lambda: ripser(apron)["dgms"][1],
+            lambda: 2 * our_bars(apron),
         ),
         "GUDHI": (
             "generators of 150 points, which need all triangles",
             lambda: generators(small)[1][0],
-            lambda: tk.rips_persistence(small).to_gudhi()[1][0],
+            lambda: our_generators(small)[0],
         ),
         "PyTorch": (
             "a gradient, 150 points, generators by GUDHI",
-            lambda: step(by_gudhi),
-            lambda: step(births_and_deaths),
+            lambda: gradient(generators(small)[1][0]),
+            lambda: gradient(our_generators(small)[0]),
         ),
     }
 
@@ -95,24 +95,30 @@ def alike(one: Any, other: Any) -> bool:
     )
 
 
-class Lifetimes(TransformerMixin):
-    """A transformer that gives what `LoopFeatures` gives, by ripser.py."""
-
-    def fit(self, X: Any, y: Any = None) -> Lifetimes:
-        return self
-
-    def transform(self, X: Any) -> np.ndarray:
-        from ripser import ripser as theirs
-
-        rows = np.zeros((len(X), 6, 2))
-        for row, points in zip(rows, X, strict=True):
-            bars = theirs(points)["dgms"][1] / 2
-            bars = bars[np.argsort(bars[:, 0] - bars[:, 1], kind="stable")][:6]
-            row[: len(bars)] = np.column_stack([bars[:, 0], bars[:, 1] - bars[:, 0]])
-        return rows.reshape(len(rows), -1)
+def our_bars(points: np.ndarray) -> np.ndarray:
+    """Return births and deaths by topokit."""
+    diagram = tk.rips_persistence(points)
+    return np.column_stack([diagram.birth, diagram.death])
 
 
-def garments(features: Any) -> dict[str, Any]:
+def bars_of_ripser(points: np.ndarray) -> np.ndarray:
+    """Return births and deaths by ripser.py, in half lengths."""
+    from ripser import ripser
+
+    return ripser(points)["dgms"][1] / 2
+
+
+def loop_features(clouds: Any, find_bars: Callable[[np.ndarray], np.ndarray]) -> np.ndarray:
+    """Return birth and lifetime of the six longest-lived loops of each cloud."""
+    rows = np.zeros((len(clouds), 6, 2))
+    for row, points in zip(rows, clouds, strict=True):
+        bars = find_bars(points)
+        bars = bars[np.argsort(bars[:, 0] - bars[:, 1], kind="stable")][:6]
+        row[: len(bars)] = np.column_stack([bars[:, 0], bars[:, 1] - bars[:, 0]])
+    return rows.reshape(len(rows), -1)
+
+
+def garments(find_bars: Callable[[np.ndarray], np.ndarray]) -> dict[str, Any]:
     """Classify garments by the loops of their clouds, cross-validated by episode; return seconds and accuracy."""
     folders = [Dataset(ROOT / "data_small" / name) for name in ("dataset", "motion")]
     films = [data[i] for data in folders for i in data.episodes]
@@ -120,6 +126,7 @@ def garments(features: Any) -> dict[str, Any]:
     films = [film for film in films if kinds.count(film.garment) > 3]
     frames = [(film.observed[t], film.garment, i) for i, film in enumerate(films) for t in range(0, len(film), 12)]
     clouds, garment, episode = map(list, zip(*frames, strict=True))
+    features = FunctionTransformer(loop_features, kw_args={"find_bars": find_bars})
     model = make_pipeline(features, RandomForestClassifier(random_state=0))
     began = time.process_time()
     scores = cross_val_score(model, clouds, garment, groups=episode, cv=StratifiedGroupKFold(4))
@@ -156,7 +163,7 @@ def measured(repeat: int) -> dict[str, Any]:
         "date": str(dt.datetime.now(dt.timezone.utc).date()),
         "machine": {"processor": processor(), "python": platform.python_version(), "versions": versions},
         "rows": rows,
-        "garments": {"topokit": garments(LoopFeatures(n_loops=6, n_jobs=1)), "ripser.py": garments(Lifetimes())},
+        "garments": {"topokit": garments(our_bars), "ripser.py": garments(bars_of_ripser)},
     }
 
 
