@@ -18,5 +18,5 @@ if TYPE_CHECKING:
     from .sampling import covering_radius, farthest_point_sample, hausdorff
     from .seqph import Loop, SeqPH, TopologicalState, follow, track
 
-__version__ = "0.3.0"
+__version__ = "0.4.0"
 __getattr__, __dir__, __all__ = attach(__name__, __file__)
