@@ -23,78 +23,65 @@ def as_reals(values: Any, name: str) -> NDArray[Any]:
     return array
 
 
-def as_points(
-    points: ArrayLike, name: str = "points", *, copy: bool = False, refuse_transposed: bool = False
-) -> NDArray[np.float64]:
+def as_points(points: ArrayLike, name: str = "points", *, copy: bool = False) -> Array:
     """Return points as a C-contiguous (n, d) float64 array of finite numbers; a `copy` shares no memory with them."""
     array = as_reals(points, name)
     if array.ndim != 2 or array.shape[1] == 0:
         hint = "; for a sequence of clouds use topokit.track" if array.ndim == 3 else ""
         raise ValueError(f"{name} must be an (n, d) array, one row a point, not of shape {array.shape}{hint}")
 
-    # Three points have no loop. Where loops are looked for, three long rows are most likely a transposed cloud.
+    # Three points have no loop: three long rows are most likely a transposed cloud.
     n, d = array.shape
-    if refuse_transposed and 0 < n < 4 and d > 32:
-        question = f"{name} has {n} rows and {d} columns: are they {d} points in {n} dimensions? Then give {name}.T"
-        raise ValueError(f"{question}, one row a point; if not, there is no loop: fewer than four points have none")
+    if 0 < n < 4 and d > 32:
+        raise ValueError(f"{name} has {n} rows and {d} columns: for {d} points in {n} dimensions give {name}.T")
 
     array = np.array(array, dtype=np.float64, order="C", copy=copy or None)
-    finite = np.isfinite(array)
+    finite = np.isfinite(array).all(axis=1)
     if not finite.all():
-        bad = np.flatnonzero(~finite.all(axis=1))
-        variable = "points" if " " in name else name
-        problem = f"{len(bad)} of {len(array)} points with a NaN or infinite coordinate, the first at row {bad[0]}"
-        cure = f"drop them first, for example {variable}[np.isfinite({variable}).all(axis=1)]"
-        raise ValueError(f"{name} has {problem}: {array[bad[0]].tolist()}; {cure}")
+        row = int(finite.argmin())
+        problem = f"{(~finite).sum()} of {n} points with a NaN or infinite coordinate, the first at row {row}"
+        cure = "drop them first, for example points[np.isfinite(points).all(axis=1)]"
+        raise ValueError(f"{name} has {problem}: {array[row].tolist()}; {cure}")
     return array
 
 
-def as_sequence(
-    sequence: ArrayLike | Sequence[ArrayLike], name: str = "sequence", *, copy: bool = False
-) -> list[NDArray[np.float64]]:
-    """Return clouds as a list of (n_t, d) float64 arrays: the number of points may vary, the dimension may not."""
-    if isinstance(sequence, np.ndarray) and sequence.ndim != 3:
-        raise ValueError(f"{name} must be a (T, n, d) array or a list of (n, d) arrays, not of shape {sequence.shape}")
-    clouds: list[NDArray[np.float64]] = []
+def as_sequence(sequence: ArrayLike | Sequence[ArrayLike], name: str = "sequence") -> list[Array]:
+    """Return clouds as a list of copies (n_t, d) float64: the number of points may vary, the dimension may not."""
+    clouds: list[Array] = []
     for frame, cloud in enumerate(sequence):  # type: ignore[arg-type]
-        array = as_points(cloud, f"{name}[{frame}]", copy=copy, refuse_transposed=True)
-        if clouds and array.shape[1] != clouds[0].shape[1]:
-            before = clouds[0].shape[1]
-            raise ValueError(f"{name}[{frame}] has {array.shape[1]} dimensions, the frames before it {before}")
-        clouds.append(array)
+        clouds.append(as_points(cloud, f"{name}[{frame}]", copy=True))
+        d = clouds[0].shape[1]
+        if clouds[-1].shape[1] != d:
+            raise ValueError(f"{name}[{frame}] has {clouds[-1].shape[1]} dimensions, the frames before it {d}")
     return clouds
 
 
-def _is_number(value: Any) -> bool:
-    """Return True for Python's and NumPy's real numbers; a truth value is none."""
-    return isinstance(value, Real) and not isinstance(value, bool)
+def _check_number(value: Any, name: str, kind: str) -> None:
+    """Raise an error unless a value is a real number of Python or NumPy; a truth value is none."""
+    if not isinstance(value, Real) or isinstance(value, bool):
+        raise WrongKindError(f"{name} must be a {kind}, not {value!r}")
 
 
 def positive(value: float, name: str, *, zero: bool = True, infinite: bool = False) -> float:
     """Return `value` as a float, or raise an error unless it is a (finite) number that is not negative."""
-    if not _is_number(value):
-        raise WrongKindError(f"{name} must be a number, not {value!r}")
+    _check_number(value, name, "number")
     number = float(value)
-    large_enough = number >= 0 if zero else number > 0
-    if not large_enough or (np.isinf(number) and not infinite):
+    if not number >= 0 or (number == 0 and not zero) or (np.isinf(number) and not infinite):
         bound = "zero or more" if zero else "more than zero"
-        if not infinite:
-            bound += " and finite"
-        raise ValueError(f"{name} must be {bound}, not {value!r}")
+        raise ValueError(f"{name} must be {bound}{'' if infinite else ' and finite'}, not {value!r}")
     return number
 
 
 def whole(value: Any, name: str, low: int = 0, high: float = float("inf")) -> int:
     """Return `value` as an int, or raise an error unless it is a whole number from `low` to `high`."""
-    if not _is_number(value):
-        raise WrongKindError(f"{name} must be a whole number, not {value!r}")
+    _check_number(value, name, "whole number")
     if not low <= value <= high or value % 1 != 0:
         bound = f"{low} or more" if high == float("inf") else f"{low} to {high}"
         raise ValueError(f"{name} must be {bound}, a whole number, not {value!r}")
     return int(value)
 
 
-def as_ids(values: object, name: str, n_vertices: int) -> NDArray[np.int64]:
+def as_ids(values: object, name: str, n_vertices: int) -> Ids:
     """Return vertex ids as int64, or raise an error that names an id that is no vertex."""
     ids = as_reals(values, name)
     if not np.issubdtype(ids.dtype, np.integer):

@@ -16,10 +16,6 @@ from topokit._validate import Array, as_points, as_reals, positive
 
 __all__ = ["close_far", "linking_number", "linking_numbers"]
 
-_PAIRS_AT_ONCE = 2**17  # pairs of segments in memory at a time: some 30 MB
-_TOUCH = 1e-12  # curves nearer than this share of their size touch; far from the origin, where digits are lost, sooner
-_NOT_AN_INTEGER = 1e-3  # a Gauss integral that misses its integer by more has lost its digits
-
 
 def side_lengths(curve: Array) -> Array:
     """Return the lengths (..., n) of the sides of closed curves; the last side joins the last corner to the first.
@@ -69,13 +65,9 @@ def linking_number(curve_a: ArrayLike, curve_b: ArrayLike) -> int:
     >>> abs(linking_number(circle, through)), linking_number(circle, through + [5, 0, 0])
     (1, 0)
     """
-    for curve, name in ((curve_a, "curve_a"), (curve_b, "curve_b")):
-        if isinstance(curve, np.ndarray) and curve.ndim == 3:
-            raise ValueError(f"{name} is a batch of curves, of shape {curve.shape}: call linking.linking_numbers")
-    a = as_points(curve_a, "curve_a")
-    b = as_points(curve_b, "curve_b")
-    numbers, _ = _link(a[None], b[None], "curve_a", "curve_b")
-    return int(numbers[0])
+    a = _as_curve(curve_a, "curve_a")
+    b = _as_curve(curve_b, "curve_b")
+    return round(_gauss_integral(a, b, "curve_a", "curve_b"))
 
 
 def linking_numbers(curves_a: ArrayLike, curves_b: ArrayLike) -> tuple[NDArray[np.int64], Array]:
@@ -106,9 +98,12 @@ def linking_numbers(curves_a: ArrayLike, curves_b: ArrayLike) -> tuple[NDArray[n
     b = _batch(curves_b, "curves_b")
     if len(a) != len(b) and 1 not in (len(a), len(b)):
         raise ValueError(
-            f"curves_a and curves_b must be equally many, or one of them a single curve; they are {len(a)} and {len(b)}"
+            f"curves_a and curves_b must be equally many, or one a single curve; they are {len(a)} and {len(b)}"
         )
-    return _link(a, b, "curves_a[{}]", "curves_b[{}]")
+    pairs = [(k % len(a), k % len(b)) for k in range(max(len(a), len(b)))]
+    integrals = np.array([_gauss_integral(a[i], b[j], f"curves_a[{i}]", f"curves_b[{j}]") for i, j in pairs])
+    numbers = np.rint(integrals).astype(np.int64)
+    return numbers, integrals - numbers
 
 
 def close_far(
@@ -144,64 +139,76 @@ def close_far(
     points = as_points(curve, "curve")
     if points.shape[1] != 3 or len(points) < 2:
         raise ValueError(f"curve must be an (n, 3) array of at least 2 corners, not of shape {points.shape}")
-    if np.abs(points).max() > 1e150:
-        raise ValueError("curve reaches beyond 1e150, so its far corners overflow floating point; use another unit")
     reach = positive(far, "far", zero=False) * float(np.ptp(points, axis=0).max())
     if reach == 0:
         raise ValueError("curve has no extent: all its corners are one point")
 
     down = _direction(start, "start")
     up = _direction(end, "end")
-    aside = np.cross(down, up)
-    if np.linalg.norm(aside) < 1e-6:
+    sideways = np.cross(down, up)
+    if np.linalg.norm(sideways) < 1e-6:
         # The two are parallel: take the axis that is least along them, made orthogonal to them.
-        aside = np.eye(3)[np.argmin(np.abs(up))]
-        aside = aside - (aside @ up) * up
-    aside = reach * aside / np.linalg.norm(aside)
+        sideways = np.eye(3)[np.argmin(np.abs(up))]
+        sideways = sideways - (sideways @ up) * up
+    sideways = reach * sideways / np.linalg.norm(sideways)
 
     foot = points[0] + reach * down
     tip = points[-1] + reach * up
-    return np.vstack([points, tip, tip + aside, foot + aside, foot])
+    return np.vstack([points, tip, tip + sideways, foot + sideways, foot])
 
 
 def _direction(vector: ArrayLike, name: str) -> Array:
     """Return a direction (3,) of length 1."""
     value = as_reals(vector, name).astype(np.float64)
     length = float(np.linalg.norm(value))
-    if value.shape != (3,) or not np.isfinite(length) or length == 0:
+    if value.shape != (3,) or not 0 < length < np.inf:
         raise ValueError(f"{name} must be a direction of three numbers, not {vector!r}")
     return value / length
 
 
-def _batch(curves: ArrayLike, name: str) -> Array:
-    """Return curves as (B, n, 3): a single curve is a batch of one."""
+def _batch(curves: ArrayLike, name: str) -> list[Array]:
+    """Return checked curves (n, 3): a single curve is a batch of one."""
     array = as_reals(curves, name)
     if array.ndim == 2:
-        return as_points(array, name)[None]
+        array = array[None]
     if array.ndim != 3 or not len(array):
         raise ValueError(f"{name} must be a (B, n, 3) array of curves or one (n, 3) curve, not of shape {array.shape}")
-    return np.stack([as_points(curve, f"{name}[{i}]") for i, curve in enumerate(array)])
+    return [_as_curve(curve, f"{name}[{i}]") for i, curve in enumerate(array)]
 
 
-def _link(a: Array, b: Array, name_a: str, name_b: str) -> tuple[NDArray[np.int64], Array]:
-    """Return linking numbers and rounding errors of the pairs of (B, n, 3) and (B, m, 3), either B possibly 1."""
-    for curves, name in ((a, name_a), (b, name_b)):
-        for i, curve in enumerate(curves):
-            _check_curve(curve, name.format(i))
-    pairs = [(k % len(a), k % len(b)) for k in range(max(len(a), len(b)))]
-    integral = np.array([_gauss_integral(a[i], b[j], name_a.format(i), name_b.format(j)) for i, j in pairs])
-    numbers = np.rint(integral).astype(np.int64)
-    return numbers, integral - numbers
+def _as_curve(curve: ArrayLike, name: str) -> Array:
+    """Return a closed curve (n, 3) in space, or raise ValueError when it is none or passes through a corner twice."""
+    corners = as_points(curve, name)
+    if corners.shape[1] != 3 or len(corners) < 3:
+        wrong = f"{name} must be an (n, 3) array of at least 3 corners, not of shape {corners.shape}"
+        raise ValueError(f"{wrong}; close an open curve first, for example by topokit.linking.close_far")
+
+    # In lexicographic order equal corners are neighbours.
+    order = np.lexsort(corners.T)
+    repeats = np.flatnonzero((corners[order[1:]] == corners[order[:-1]]).all(axis=1))
+    if len(repeats):
+        i, j = sorted(order[repeats[0] : repeats[0] + 2].tolist())
+        both = f"corners {i} and {j} are both {corners[i].tolist()}"
+        if (i, j) == (0, len(corners) - 1):
+            both += " (the last joins the first by itself: leave it out)"
+        raise ValueError(f"{name} passes through a corner twice: {both}")
+    return corners
 
 
 def _gauss_integral(a: Array, b: Array, name_a: str, name_b: str) -> float:
     """Return the Gauss integral over two closed curves, or raise an error when they touch or it is no integer."""
-    first, second, touch = _scaled(a, b)
-    first_closed = np.vstack([first, first[:1]])
+    # The unit is the size of the curves. Curves nearer than 1e-12 touch; far from the origin, where digits are lost, sooner.
+    middle = a[0]
+    size = max(float(np.abs(a - middle).max()), float(np.abs(b - middle).max()))
+    largest = max(float(np.abs(a).max()), float(np.abs(b).max()))
+    touch = 1e-12 + 4 * float(np.finfo(float).eps) * largest / size
+    first_closed = np.vstack([a, a[:1]])
+    first_closed = (first_closed - middle) / size
+    second = (b - middle) / size
     second_closed = np.vstack([second, second[:1]])
 
-    # Sum over runs of segments of the first curve that fit into memory with all segments of the second.
-    rows = max(1, _PAIRS_AT_ONCE // len(second))
+    # Sum over runs of segments of the first curve: 2**17 pairs with segments of the second take some 30 MB.
+    rows = max(1, 2**17 // len(second))
     total = 0.0
     for row in range(0, len(a), rows):
         block = first_closed[row : row + rows + 1]
@@ -210,41 +217,10 @@ def _gauss_integral(a: Array, b: Array, name_a: str, name_b: str) -> float:
             where = f"segment {row + pair[0]} of {name_a} meets segment {pair[1]} of {name_b}"
             raise ValueError(f"the curves touch: {where}; no linking number exists")
         total += _half_solid_angles(block, second_closed) / (2 * np.pi)
-    if abs(total - np.rint(total)) > _NOT_AN_INTEGER:
+    if abs(total - np.rint(total)) > 1e-3:  # the digits are lost
         close = f"{name_a} and {name_b} come too close: their Gauss integral is {total:.6f}, no integer"
         raise ValueError(f"{close}; move them apart or subdivide long segments")
     return total
-
-
-def _check_curve(curve: Array, name: str) -> None:
-    """Raise ValueError unless this is a closed curve in space that passes through no corner twice."""
-    if curve.shape[1] != 3 or len(curve) < 3:
-        wrong = f"{name} must be an (n, 3) array of at least 3 corners, not of shape {curve.shape}"
-        raise ValueError(f"{wrong}; close an open curve first, for example by topokit.linking.close_far")
-
-    # In lexicographic order equal corners are neighbours.
-    order = np.lexsort(curve.T)
-    same = np.flatnonzero((curve[order[1:]] == curve[order[:-1]]).all(axis=1))
-    if len(same):
-        i, j = sorted(order[same[0] : same[0] + 2].tolist())
-        both = f"corners {i} and {j} are both {curve[i].tolist()}"
-        if (i, j) == (0, len(curve) - 1):
-            both += " (the last joins the first by itself: leave it out)"
-        raise ValueError(f"{name} passes through a corner twice: {both}")
-
-
-def _scaled(a: Array, b: Array) -> tuple[Array, Array, float]:
-    """Return both curves in a unit in which no product overflows or vanishes, and the distance at which they touch in it."""
-    # Scaling by a power of two is exact. The largest coordinate is now 1/2 to 1.
-    exponent = np.frexp(max(np.abs(a).max(), np.abs(b).max()))[1]
-    a = np.ldexp(a, -exponent)
-    b = np.ldexp(b, -exponent)
-
-    # Far from the origin coordinates have fewer digits to spare, and curves touch sooner.
-    middle = a[0]
-    size = max(float(np.abs(a - middle).max()), float(np.abs(b - middle).max()))
-    touch = _TOUCH + 4 * float(np.finfo(float).eps) / size
-    return (a - middle) / size, (b - middle) / size, touch
 
 
 def _half_solid_angles(a: Array, b: Array) -> float:

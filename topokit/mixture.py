@@ -15,7 +15,7 @@ from typing import Any, Protocol
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from ._validate import Array, as_points, as_reals, own_arrays, positive, whole
+from ._validate import Array, as_points, own_arrays, positive
 
 __all__ = ["InverseWishart", "LoopMixture", "loop_mixture"]
 
@@ -57,21 +57,18 @@ class InverseWishart:
         Raises
         ------
         ValueError
-            When `dof` is not above d - 1, or `scale` is not a positive definite (d, d) matrix.
+            When `dof` is not above d - 1.
+        numpy.linalg.LinAlgError
+            When `scale` is not positive definite.
         """
         d = scatter.shape[-1]
-        dof = d + 2.0
-        if self.dof is not None:
-            dof = positive(self.dof, "dof")
+        dof = d + 2.0 if self.dof is None else self.dof
         if not dof > d - 1:
-            raise ValueError(f"dof must be above {d - 1} in {d} dimensions, not {dof:g}")
-        scale = as_reals(self.scale, "scale").astype(np.float64)
+            raise ValueError(f"dof must be above {d - 1} in {d} dimensions, not {dof}")
+        scale = np.asarray(self.scale, dtype=np.float64)
         if scale.ndim == 0:
-            scale = np.diag(np.full(d, scale))
-        symmetric = scale.shape == (d, d) and np.isfinite(scale).all() and np.allclose(scale, scale.T)
-        if not symmetric or np.linalg.eigvalsh(scale)[0] <= 0:
-            kinds = f"a positive number or a positive definite ({d}, {d}) matrix"
-            raise ValueError(f"scale must be {kinds}, not {self.scale!r}")
+            scale = scale * np.eye(d)
+        np.linalg.cholesky(scale)  # raises unless the scale is positive definite
         return np.asarray((scale + scatter) / (dof + 1 - d))
 
 
@@ -85,12 +82,12 @@ class LoopMixture:
 
     def __post_init__(self) -> None:
         for name, value in vars(self).items():
-            object.__setattr__(self, name, np.asarray(as_reals(value, name), dtype=np.float64))
-        shape = self.means.shape
-        shapes = [array.shape for array in (self.means, self.covariances, self.weights)]
-        if len(shape) != 2 or shapes != [shape, (*shape, shape[1]), shape[:1]]:
+            object.__setattr__(self, name, np.asarray(value, dtype=np.float64))
+        m, d = self.means.shape
+        if self.covariances.shape != (m, d, d) or self.weights.shape != (m,):
             needed = "means (m, d), covariances (m, d, d) and weights (m,)"
-            raise ValueError(f"a mixture needs {needed}, not {', '.join(map(str, shapes))}")
+            shapes = f"{self.means.shape}, {self.covariances.shape}, {self.weights.shape}"
+            raise ValueError(f"a mixture needs {needed}, not {shapes}")
         if not (self.weights >= 0).all() or not np.isclose(self.weights.sum(), 1):
             raise ValueError(f"the weights of a mixture are not negative and sum to 1, not {self.weights.tolist()}")
         own_arrays(self)
@@ -119,13 +116,7 @@ class LoopMixture:
         n : int
         rng : numpy.random.Generator or int, optional
             A generator or the seed of one.
-
-        Raises
-        ------
-        ValueError
-            When `n` is negative.
         """
-        n = whole(n, "n")
         generator = np.random.default_rng(rng)
 
         # Draw a component for each point, then a standard normal vector, and multiply it by the component's Cholesky factor.
@@ -146,31 +137,21 @@ class LoopMixture:
         ValueError
             When `x` is neither a point nor a list of points of the mixture's dimension, or has a NaN or infinite coordinate.
         """
-        points = as_reals(x, "x").astype(np.float64)
+        is_point = np.ndim(x) == 1
+        points = as_points(np.atleast_2d(np.asarray(x)), "x")
         d = self.means.shape[1]
-        if points.ndim not in (1, 2) or points.shape[-1] != d:
-            raise ValueError(f"x must be a ({d},) point or (n, {d}) points, not an array of shape {points.shape}")
-        finite = np.isfinite(np.atleast_2d(points)).all(axis=1)
-        if not finite.all():
-            raise ValueError(f"x must be finite, but row {np.flatnonzero(~finite)[0]} has a NaN or infinite coordinate")
+        if points.shape[1] != d:
+            raise ValueError(f"x must be a ({d},) point or (n, {d}) points, not an array of shape {np.shape(x)}")
 
         # Whiten the offsets: solve (Cholesky factor) @ white = offset. Then |white|^2 is the squared Mahalanobis distance.
         factor = np.linalg.cholesky(self.covariances)  # (m, d, d)
-        offsets = np.atleast_2d(points)[:, None] - self.means  # (n, m, d)
+        offsets = points[:, None] - self.means  # (n, m, d)
         white = np.linalg.solve(factor, offsets.transpose(1, 2, 0))  # (m, d, n)
         log_norm = np.log(np.einsum("mii->mi", factor)).sum(axis=1) + d / 2 * np.log(2 * np.pi)  # (m,)
-        # log 0 = -inf: a component of weight 0 adds nothing. Far away the squares overflow, and every term is -inf.
-        with np.errstate(divide="ignore", over="ignore"):
+        with np.errstate(divide="ignore"):  # log 0 = -inf: a component of weight 0 adds nothing
             terms = np.log(self.weights) - log_norm - (white**2).sum(axis=1).T / 2  # (n, m)
-
-        # Sum over the components (log-sum-exp). The largest term is taken out first, so that nothing underflows.
-        largest = terms.max(axis=1, keepdims=True)
-        taken_out = np.where(np.isfinite(largest), largest, 0.0)
-        with np.errstate(divide="ignore"):
-            log_density = taken_out[:, 0] + np.log(np.exp(terms - taken_out).sum(axis=1))
-        if points.ndim == 1:
-            return np.asarray(log_density[0])
-        return np.asarray(log_density)
+        log_density = np.logaddexp.reduce(terms, axis=1)
+        return np.asarray(log_density[0] if is_point else log_density)
 
     def density(self, n: int = 48, *, extent: float = 3.0) -> tuple[tuple[Array, ...], Array]:
         """Return a grid of n places along each of the d axes, d arrays (n,), and the density (n,) * d on it.
@@ -184,8 +165,7 @@ class LoopMixture:
         extent : float
             How many standard deviations of every component, on either side of its mean, the grid covers.
         """
-        n = whole(n, "n", 1)
-        reach = positive(extent, "extent") * np.sqrt(np.einsum("mii->mi", self.covariances))
+        reach = extent * np.sqrt(np.einsum("mii->mi", self.covariances))
         low = (self.means - reach).min(axis=0)
         high = (self.means + reach).max(axis=0)
         axes = tuple(np.linspace(start, end, n) for start, end in zip(low, high, strict=True))
@@ -207,7 +187,7 @@ class LoopMixture:
         rng : numpy.random.Generator or int, optional
             As in `sample`.
         """
-        samples = self.sample(whole(n, "n", 1), rng)
+        samples = self.sample(n, rng)
         ranked = np.sort(self.log_prob(samples))
         not_above = np.searchsorted(ranked, self.log_prob(x), side="right")
         return np.asarray(1 - not_above / n)
@@ -228,7 +208,8 @@ def loop_mixture(loop: Triangles, noise: float = 1e-4, prior: InverseWishart | N
     Raises
     ------
     ValueError
-        When the shapes of the loop's arrays do not fit each other, or its filtration values are negative or all zero.
+        When the shapes of the loop's arrays do not fit each other, or its filtration values are negative or all zero, or the
+        noise is not positive.
 
     Examples
     --------
@@ -238,18 +219,10 @@ def loop_mixture(loop: Triangles, noise: float = 1e-4, prior: InverseWishart | N
     >>> mixture.mean.round(6).tolist(), len(mixture.weights)
     ([1.0, 1.0], 6)
     """
-    # Check the arrays of the loop, which need not come from the tracker.
-    for name in ("killer_triangles", "neighbours", "killer_values", "neighbour_values"):
-        as_reals(getattr(loop, name), name)
     triangles = np.concatenate([loop.killer_triangles, loop.neighbours]).astype(np.float64)
     values = np.concatenate([loop.killer_values, loop.neighbour_values]).astype(np.float64)
-    if triangles.ndim != 3 or triangles.shape[1] != 3 or len(values) != len(triangles):
-        shapes = f"not arrays of shapes {triangles.shape} and {values.shape}"
-        raise ValueError(f"a mixture needs (m, 3, d) triangles and as many filtration values, {shapes}")
-    as_points(triangles.reshape(len(triangles), -1), "triangles")
-    if not (np.isfinite(values).all() and (values >= 0).all() and values.sum() > 0):
-        needed = "finite and not negative, and at least one of them positive"
-        raise ValueError(f"filtration values must be {needed}, not {values.tolist()}")
+    if not (values >= 0).all() or not values.sum() > 0:
+        raise ValueError(f"filtration values must be 0 or more, and one of them more, not {values.tolist()}")
 
     # Equation 1: a component for each triangle. The sample covariance divides by 2: three vertices less one for their mean.
     means, scatter = moments(triangles)

@@ -5,8 +5,6 @@ Source: Gonzalez 1985 (farthest-point traversal); Antonova et al. 2021, Assumpti
 
 from __future__ import annotations
 
-import math
-from bisect import bisect_left, bisect_right
 from typing import TYPE_CHECKING
 
 import numpy as np
@@ -17,9 +15,7 @@ from ._validate import Array, Ids, as_points, as_reals, positive, whole
 if TYPE_CHECKING:
     from scipy.spatial import cKDTree
 
-__all__ = ["covering_radius", "farthest_point_sample", "hausdorff", "inliers", "spacing", "spoil"]
-
-_MARGIN = 0.1  # metres around a cloud's box in which outliers of `spoil` lie
+__all__ = ["covering_radius", "farthest_point_sample", "hausdorff", "inliers", "spacing"]
 
 
 def farthest_point_sample(points: ArrayLike, n: int, start: int | None = 0) -> tuple[Ids, float]:
@@ -51,44 +47,25 @@ def farthest_point_sample(points: ArrayLike, n: int, start: int | None = 0) -> t
     >>> farthest_point_sample([[0.0], [1.0], [2.0], [4.0]], 2)
     (array([0, 3]), 2.0)
     """
-    array = _measurable(points, "points")
+    array = as_points(points)
     if not len(array):
         raise ValueError("points is empty: there is nothing to choose from")
     n = whole(n, "n", 1, len(array))
     if start is None:
         from_mean = array - array.mean(axis=0)
         start = int(np.square(from_mean).sum(axis=1).argmax())
-    following = whole(start, "start", -len(array), len(array) - 1) % len(array)
+    newest = whole(start, "start", -len(array), len(array) - 1) % len(array)
 
-    # Idea: a new point changes only what is within the covering radius of it, at first all points, and soon few. With the
-    # points sorted along the widest axis those are in a slice. The margin makes sure that rounding leaves none out.
-    widest = np.ptp(array, axis=0).argmax()
-    order = np.argsort(array[:, widest], kind="stable")
-    axes = array[order].T.copy()
-    along = axes[widest].tolist()
-    squared = np.full(len(array), np.inf)  # distance of each point from the nearest of those chosen so far
-    new = int(np.flatnonzero(order == following)[0])
-    reach = math.inf
+    # The squared distance of each point from the nearest of those chosen so far; the farthest point is chosen next.
+    axes = np.ascontiguousarray(array.T)
+    squared = np.full(len(array), np.inf)
     chosen = []
     for _ in range(n):
-        chosen.append(new)
-        near = slice(bisect_left(along, along[new] - reach), bisect_right(along, along[new] + reach))
-        steps = axes[:, near] - axes[:, new, None]
-        steps *= steps
-        from_new = steps[0]
-        for more in steps[1:]:
-            from_new += more
-        nearby = squared[near]
-        np.minimum(nearby, from_new, out=nearby)
-
-        # The farthest point from all that are chosen comes next; among several, the one with the smallest index.
-        new = int(squared.argmax())
-        farthest = squared[new]
-        reach = math.sqrt(farthest) * (1 + 1e-12)
-        ties = (squared == farthest).nonzero()[0]
-        if len(ties) > 1:
-            new = int(ties[order[ties].argmin()])
-    return order[chosen], math.sqrt(farthest)
+        chosen.append(newest)
+        from_newest = np.square(axes - axes[:, newest, None]).sum(axis=0)
+        np.minimum(squared, from_newest, out=squared)
+        newest = int(squared.argmax())
+    return np.array(chosen, dtype=np.int64), float(np.sqrt(squared[newest]))
 
 
 def covering_radius(dense: ArrayLike, sample: ArrayLike | cKDTree) -> float:
@@ -111,7 +88,7 @@ def covering_radius(dense: ArrayLike, sample: ArrayLike | cKDTree) -> float:
     >>> covering_radius([[0.0], [1.0], [3.0]], [[0.0]])
     3.0
     """
-    return _farthest(_measurable(dense, "dense"), as_tree(sample, "sample"), "dense", "sample")
+    return _farthest(as_points(dense, "dense"), as_tree(sample, "sample"), "dense", "sample")
 
 
 def _farthest(points: Array, tree: cKDTree, name: str, name_of_tree: str) -> float:
@@ -161,29 +138,23 @@ def hausdorff_table(a: Array, b: Array) -> Array:
     return np.asarray(np.maximum(a_to_b, b_to_a))
 
 
-def inliers(points: ArrayLike | cKDTree, *, neighbours: int = 5, factor: float = 2.5) -> Ids:
+def inliers(points: ArrayLike | cKDTree, *, factor: float = 2.5) -> Ids:
     """Return the ids of the points that are not alone: statistical outlier removal.
 
-    A point is left out when its `neighbours`-th nearest other place is farther than `factor` times the median of these
-    distances. This is done twice, since outliers raise the median. Repeated points count as one place. On cloth, however it was
-    sampled, the ratio was never above 2.1; of points strewn about it few are below the default.
+    A point is left out when its fifth nearest other place is farther than `factor` times the median of these distances. This is
+    done twice, since outliers raise the median. Repeated points count as one place. On cloth, however it was sampled, the
+    ratio was never above 2.1; of points strewn about it few are below the default.
 
     Parameters
     ----------
     points : (n, d) array_like
         Points, or a tree of them.
-    neighbours : int
     factor : float
 
     Returns
     -------
     (k,) int64
-        Ids of the points that are kept, in ascending order.
-
-    Raises
-    ------
-    ValueError
-        When `neighbours` or `factor` is not a positive number.
+        Ids of the other points, in ascending order.
 
     Notes
     -----
@@ -194,19 +165,16 @@ def inliers(points: ArrayLike | cKDTree, *, neighbours: int = 5, factor: float =
     >>> inliers([[x] for x in (0, 1, 2, 3, 4, 5, 6, 100)])
     array([0, 1, 2, 3, 4, 5, 6])
     """
-    neighbours = whole(neighbours, "neighbours", 1)
-    factor = positive(factor, "factor", zero=False)
-    return inliers_and_tree(as_tree(points), neighbours, factor)[0]
+    return inliers_and_tree(as_tree(points), positive(factor, "factor", zero=False))[0]
 
 
-def inliers_and_tree(tree: cKDTree, neighbours: int = 5, factor: float = 2.5) -> tuple[Ids, cKDTree, Array]:
+def inliers_and_tree(tree: cKDTree, factor: float = 2.5) -> tuple[Ids, cKDTree, Array]:
     """Return what a tracker needs of the points that are not alone.
 
     Parameters
     ----------
     tree : cKDTree
         Tree of the points.
-    neighbours : int
     factor : float
 
     Returns
@@ -215,38 +183,27 @@ def inliers_and_tree(tree: cKDTree, neighbours: int = 5, factor: float = 2.5) ->
         Numbers of these points in the cloud.
     tree : cKDTree
         Tree of their p places; points that coincide are one place.
-    nearest : (p, neighbours) float64
+    nearest : (p, 5) float64
         Distances of each place from its nearest other places.
     """
-    ids = np.arange(tree.n)
-    copies = None
-    if _repeats(tree):
-        places, copies = np.unique(tree.data + 0.0, axis=0, return_inverse=True)  # -0.0 and 0.0 are one place
-        tree = as_tree(places)
-        ids = np.arange(len(places))
-
-    # Each place is its own nearest one, so the query is for one more.
-    nearest, neighbour_ids = tree.query(tree.data, k=min(neighbours + 1, max(tree.n, 2)))
+    tree, place_of_point = _places(tree)
+    place_ids = np.arange(tree.n)
+    nearest = _five_nearest(tree)
     for _ in range(2):
-        if tree.n <= neighbours:
+        fifth = nearest[:, -1]
+        is_near = fifth <= factor * np.median(fifth)
+        if tree.n <= 5 or is_near.all():
             break
-        near = nearest[:, -1] <= factor * np.median(nearest[:, -1])
-        if near.all():
-            break
+        tree = as_tree(tree.data[is_near])
+        place_ids = place_ids[is_near]
+        nearest = _five_nearest(tree)
+    return np.flatnonzero(np.isin(place_of_point, place_ids)), tree, nearest
 
-        # Leave out isolated places. Only places that lose a neighbour by it need a new query.
-        tree = as_tree(tree.data[near])
-        ids = ids[near]
-        k = min(neighbours + 1, max(near.sum(), 2))
-        lost = ~near[neighbour_ids[near]].all(axis=1) | (k <= neighbours)
-        renumbered = np.cumsum(near) - 1
-        nearest = nearest[near, :k]
-        neighbour_ids = renumbered[neighbour_ids[near, :k]]
-        nearest[lost], neighbour_ids[lost] = tree.query(tree.data[lost], k=k)
 
-    if copies is not None:
-        ids = np.flatnonzero(np.isin(copies.ravel(), ids))
-    return ids, tree, nearest[:, 1:]
+def _five_nearest(tree: cKDTree) -> Array:
+    """Return the distances (n, 5) of points from their nearest other ones, or to all others when there are fewer."""
+    distances = tree.query(tree.data, k=min(6, max(tree.n, 2)))[0]
+    return np.asarray(distances[:, 1:])  # each point is its own nearest one
 
 
 def spacing(points: ArrayLike | cKDTree) -> float:
@@ -255,27 +212,23 @@ def spacing(points: ArrayLike | cKDTree) -> float:
     If every connected piece of the scene contains at least two of the points, the covering radius cannot be smaller. A tree is
     accepted, too.
 
-    Raises
-    ------
-    ValueError
-        When squares of distances overflow or vanish.
-
     Examples
     --------
     >>> spacing([[0.0], [1.0], [3.0], [3.0]])
     1.0
     """
-    tree = as_tree(points)
-    if _repeats(tree):
-        tree = as_tree(np.unique(tree.data + 0.0, axis=0))  # -0.0 and 0.0 are one place
+    tree, _ = _places(as_tree(points))
     if tree.n < 2:
         return 0.0
-    widest = float(tree.query(tree.data, k=[2])[0].max())
-    if widest == 0:
-        raise ValueError(
-            "points differ so little, compared with their size, that squares of their distances are 0: round them"
-        )
-    return widest / 2
+    return float(tree.query(tree.data, k=[2])[0].max()) / 2
+
+
+def _places(tree: cKDTree) -> tuple[cKDTree, Ids]:
+    """Return a tree of the different places of points, and the number of each point's place."""
+    places, place_of_point = np.unique(tree.data + 0.0, axis=0, return_inverse=True)  # -0.0 and 0.0 are one place
+    if len(places) == tree.n:
+        return tree, np.arange(tree.n)
+    return as_tree(places), place_of_point.ravel()
 
 
 def spoil(
@@ -327,20 +280,10 @@ def spoil(
     spoilt = np.take_along_axis(clouds, kept[..., None], axis=-2) + noise[..., None] * rng.standard_normal(clouds.shape)
 
     # Outliers lie anywhere in the box around the cloud.
-    low = clouds.min(axis=-2, keepdims=True) - _MARGIN
-    high = clouds.max(axis=-2, keepdims=True) + _MARGIN
+    low = clouds.min(axis=-2, keepdims=True) - 0.1
+    high = clouds.max(axis=-2, keepdims=True) + 0.1
     is_outlier = rng.permuted(places, axis=-1) < np.round(outliers * n_points)
     return np.where(is_outlier[..., None], rng.uniform(low, high, clouds.shape), spoilt)
-
-
-def _repeats(tree: cKDTree) -> bool:
-    """Return whether some points may be repeated.
-
-    One number a point, a sum of its coordinates, is compared. Irrational weights keep different points apart: plain sums of
-    coordinates in whole millimetres would often be equal.
-    """
-    keys = sum(np.sqrt(k + 2) * axis for k, axis in enumerate(tree.data.T))
-    return len(np.unique(keys)) < tree.n
 
 
 def as_tree(points: ArrayLike | cKDTree, name: str = "points", *, copy: bool = False) -> cKDTree:
@@ -359,14 +302,4 @@ def as_tree(points: ArrayLike | cKDTree, name: str = "points", *, copy: bool = F
 
     if isinstance(points, cKDTree):
         return points
-    return cKDTree(_measurable(points, name), copy_data=copy)
-
-
-def _measurable(points: ArrayLike, name: str) -> Array:
-    """Return checked points whose distances have squares that neither overflow nor vanish."""
-    array = as_points(points, name)
-    largest = np.abs(array).max(initial=0.0)
-    if largest > 1e150 or 0 < largest < 1e-150:
-        reason = "floating point cannot hold the squares of distances between them; convert them to another unit"
-        raise ValueError(f"{name} has coordinates of up to {largest:.3g}: {reason}")
-    return array
+    return cKDTree(as_points(points, name), copy_data=copy)

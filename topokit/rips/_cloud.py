@@ -34,7 +34,7 @@ class Cloud:
             raise ValueError(f'metric must be "euclidean" or "precomputed", not {metric!r}')
         if metric == "precomputed":
             return cls._of_distances(_finite_distances(points))
-        return cls.of_points(as_points(points, refuse_transposed=True))
+        return cls.of_points(as_points(points))
 
     @classmethod
     def _of_distances(cls, matrix: Array) -> Cloud:

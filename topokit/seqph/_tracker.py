@@ -428,7 +428,7 @@ def track(
     ValueError
         In the cases of `SeqPH`; the message names the frame. All frames are checked before anything is computed.
     """
-    clouds = as_sequence(sequence, copy=True)
+    clouds = as_sequence(sequence)
     stamps: list[float | None] = [None] * len(clouds) if times is None else list(times)
     if len(stamps) != len(clouds):
         raise ValueError(f"times has {len(stamps)} values for {len(clouds)} frames")
