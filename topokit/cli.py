@@ -100,7 +100,6 @@ def _parser() -> ArgumentParser:
     add("--film", type=_name(".html"), metavar="FILE", help="write a film of it (.html)")
     add("--model", help="plan by a forecast: carry, or the checkpoint of a motion model (default: a servo without one)")
     add("--anywhere", action="store_true", help="draw target and start anywhere in the room, at any yaw")
-    add("--fence", type=float, metavar="M", help="throw: the hands stop at this distance before the arm, in metres")
     _add_scene(add, "tote-hook")
 
     add = command(generate)
