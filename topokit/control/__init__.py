@@ -5,10 +5,8 @@ from typing import TYPE_CHECKING
 from topokit._lazy import attach
 
 if TYPE_CHECKING:
-    from ._dress import PullOverController, StrapController
-    from ._hang import Hanging, hang
-    from ._planner import Carried, Planner
-    from ._servo import Controller, Servo
-    from ._thrower import ThrowController
+    from ._hang import hang
+    from ._planner import Planner
+    from ._servo import Servo
 
 __getattr__, __dir__, __all__ = attach(__name__, __file__, "sim")

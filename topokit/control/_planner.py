@@ -12,6 +12,7 @@ of trials using probabilistic dynamics models*.
 from __future__ import annotations
 
 from collections.abc import Mapping
+from dataclasses import dataclass
 from typing import Any, Protocol
 
 import numpy as np
@@ -19,81 +20,60 @@ from numpy.typing import ArrayLike, NDArray
 from scipy.interpolate import CubicSpline
 
 from topokit._geometry import angle, turned
-from topokit._validate import as_points, positive, whole
 from topokit.linking import linking_numbers
 
 from ._arm import Arm, Array
-from ._servo import DOWN, LIFT, SURE, TURN, USUAL_STEP, Servo
+from ._servo import USUAL_STEP, Servo, ServoOptions
 
-_KNOTS = np.array([0, 8, 18, 30, 44, 60])  # frames at which a path is described
-FRAMES = 60  # frames of a forecast
+_KNOTS = np.array(
+    [0, 8, 18, 30, 44, 60]
+)  # frames at which a path is described; the last is the horizon of the forecast
 _GUIDE_FRAMES = np.array([4, 9, 14, 19, 24, 29, 39, 49, 59])  # frames of a path, from 0, at which the guide is computed
-_SPREAD = np.array([0.06, 0.06, 0.04, 15.0])  # metres and degrees by which paths differ, at first
-_BEST = 4  # paths that are kept after each round
-_CORNERS = 24  # corners of a cycle, at most
-_STEP_CHANGE = 0.1  # largest change of the step in a frame, as a share of the largest planned step
-_SEATED = 0.03  # metres from the seat within which a linked rim is let go
-_STILL = 0.008  # metres in a frame below which the rim is at rest
-# Share of the speed of an approaching target that is taken off the speed towards it: cloth that is turned round swings.
-_CHASE = 1.6
-_CLOSE = 0.25  # metres from the tip within which frames are counted
-_TURN_COSTS = 0.0026  # metres for a degree
-_LOW_COSTS = 2.0  # metres for a metre below the tip when the arm is near
+
+
+@dataclass(frozen=True)
+class PlannerOptions(ServoOptions):
+    """Thresholds of the planner, besides those of the servo, for the same garments and targets."""
+
+    plans: int = 24  #: paths that are compared at a time
+    rounds: int = 2  #: draws about the best
+    best: int = 4  #: paths that are kept after each round
+    replan_every: int = 3  #: frames after which a new plan is made
+    spread: tuple[float, ...] = (0.06, 0.06, 0.04, 15.0)  #: metres and degrees by which paths differ, at first
+    corners: int = 24  #: corners of a cycle, at most
+    step_change: float = 0.1  #: largest change of the step in a frame, as a share of the largest planned step
+    seated: float = 0.03  #: metres from the seat within which a linked rim is let go
+    still: float = 0.008  #: metres in a frame below which the rim is at rest
+    close: float = 0.25  #: metres from the tip within which frames are counted
+    turn_costs: float = 0.0026  #: metres for a degree
+    low_costs: float = 2.0  #: metres for a metre below the tip when the arm is near
 
 
 class MotionForecaster(Protocol):
-    """The interface of a forecaster of motion for plans; `Carried` describes its methods."""
+    """The interface of a forecaster of motion for plans, such as `topokit.models.MotionPredictor`."""
 
-    def reset(self) -> None: ...
+    def reset(self) -> None:
+        """Forget everything observed."""
 
-    def observe(self, points: ArrayLike, grippers: ArrayLike, held: bool, target: ArrayLike) -> None: ...
+    def observe(self, points: ArrayLike, grippers: ArrayLike, held: bool, target: ArrayLike) -> None:
+        """Take in the next frame: points (n, 3), grippers (2, 3), and the target's centre line (L, 3)."""
 
-    def move(self, actions: ArrayLike, held: ArrayLike | None, points: ArrayLike) -> tuple[Any, Any]: ...
+    def move(self, actions: ArrayLike, held: ArrayLike | None, points: ArrayLike) -> tuple[Any, Any]:
+        """Return places (C, 60, n, 3) of points (n, 3) under C plans (C, 60, 2, 3) of the grippers, and their errors or None."""
 
 
 class Carried:
     """The forecaster for which cloth goes with the grippers as a rigid body: with their middle, and about the vertical."""
 
-    def __init__(self) -> None:
-        self.reset()
-
     def reset(self) -> None:
         """Forget everything observed."""
-        self._grippers: Array | None = None
 
-    def observe(
-        self, points: ArrayLike, grippers: ArrayLike, held: bool = True, target: ArrayLike | None = None
-    ) -> None:
-        """Take in the next frame; this forecaster uses the grippers alone.
-
-        Parameters
-        ----------
-        points : (n, 3) array_like
-        grippers : (2, 3) array_like
-        held : bool
-        target : (L, 3) array_like, optional
-            A centre line.
-        """
-        self._grippers = as_points(grippers, "grippers", copy=True)  # a robot may use its buffer again
+    def observe(self, points: ArrayLike, grippers: ArrayLike, held: bool, target: ArrayLike) -> None:
+        """Take in the next frame; this forecaster uses the grippers alone."""
+        self._grippers = np.array(grippers, np.float64)
 
     def move(self, actions: ArrayLike, held: ArrayLike | None, points: ArrayLike) -> tuple[Any, Any]:
-        """Return places (C, 60, n, 3) of points under plans, and None for their errors.
-
-        Parameters
-        ----------
-        actions : (C, 60, 2, 3) array_like
-            Goals of the grippers at each of the next frames, metres.
-        held : (C, 60) array_like of bool, optional
-        points : (n, 3) array_like
-            Their present places.
-
-        Raises
-        ------
-        RuntimeError
-            When nothing was observed yet.
-        """
-        if self._grippers is None:
-            raise RuntimeError("nothing was observed yet: call observe(points, grippers) first")
+        """Return places (C, 60, n, 3) of points (n, 3) under plans (C, 60, 2, 3), and None for their errors."""
         planned = np.asarray(actions, np.float64)
         yaws = _heading(planned) - _heading(self._grippers)
         middle = planned.mean(axis=-2)[..., None, :]
@@ -101,13 +81,14 @@ class Carried:
 
 
 class Planner(Servo):
-    """Hang a garment by the best of many paths under a forecast: a `Controller` with the observations of `Servo`.
+    """Hang a garment by the best of many paths under a forecast, with the observations of `Servo`.
 
     Parameters
     ----------
-    forecast : MotionForecaster
-        `Carried()`, a `topokit.models.MotionPredictor`, or an object of one's own with the methods of `Carried`.
-    goal : optional
+    forecast : MotionForecaster, optional
+        A `topokit.models.MotionPredictor`, or an object of one's own with its methods `reset`, `observe` and `move`. When not
+        given, the cloth is carried along as a rigid body.
+    n_loops : int
     radius : float
     max_step : float
     cloud_delay : int
@@ -115,40 +96,33 @@ class Planner(Servo):
     pace : float
         Speed of the rim as a share of the largest step. Fast cloth swings and lags behind. Below 1 the servo hangs a loop that
         leaves no room for that.
-    plans : int
-        Number of paths that are compared at a time.
-    rounds : int
-        Number of draws about the best.
-    replan_every : int
-        Number of frames after which a new plan is made.
     seed : int
         Seed of the draws.
+    options : PlannerOptions
+        The number of paths, and the thresholds.
     """
+
+    options: PlannerOptions
 
     def __init__(
         self,
-        forecast: MotionForecaster,
-        goal: ArrayLike | None = None,
+        forecast: MotionForecaster | None = None,
+        n_loops: int = 1,
         *,
         radius: float = 0.02,
         max_step: float = USUAL_STEP,
         cloud_delay: int = 0,
         pace: float = 0.6,
-        plans: int = 24,
-        rounds: int = 2,
-        replan_every: int = 3,
         seed: int = 0,
+        options: PlannerOptions = PlannerOptions(),
     ) -> None:
-        super().__init__(goal, radius=radius, max_step=max_step, cloud_delay=cloud_delay)
-        self._forecast = forecast
+        super().__init__(n_loops, radius=radius, max_step=max_step, cloud_delay=cloud_delay, options=options)
+        self._forecast = forecast or Carried()
+        self._pace = pace
         self._seed = seed
-        self._pace = positive(pace, "pace", zero=False)
-        self._plans = whole(plans, "plans", _BEST)
-        self._rounds = whole(rounds, "rounds", 1)
-        self._replan_every = whole(replan_every, "replan_every", 1)
 
     def reset(self, observation: Mapping[str, Any]) -> None:
-        """Forget everything, and begin with a first observation of `topokit.sim.HangEnv`."""
+        """Forget everything, and begin with a first observation."""
         super().reset(observation)
         self._forecast.reset()
         self._random = np.random.default_rng(self._seed)
@@ -191,46 +165,46 @@ class Planner(Servo):
         since = [then.goals for then in self._past][len(self._past) - self._age :]
         past = np.broadcast_to(np.reshape(since, (-1, 2, 3)), (len(goals), self._age, 2, 3))
         plans = np.concatenate([past, goals], axis=1)
-        plans = plans[:, np.minimum(np.arange(FRAMES), plans.shape[1] - 1)]
+        plans = plans[:, np.minimum(np.arange(_KNOTS[-1]), plans.shape[1] - 1)]
         return np.asarray(self._forecast.move(plans, np.ones(plans.shape[:2], bool), points)[0], np.float64)
 
     def _next_action(self, arm: Arm, grippers: Array) -> NDArray[np.float32]:
         """Return the next step of the plan, which is renewed every few frames, or let go."""
+        options = self.options
         # A small loop leaves no room for cloth that swings. The servo, which is slow, hangs it.
         if self._uses_servo is None:
-            self._uses_servo = self._pace < 1 and min(
-                loop.opening.size[0] for loop in self._chosen
-            ) < self._needed_size(arm)
+            smallest = min(loop.opening.size[0] for loop in self._chosen)
+            self._uses_servo = bool(self._pace < 1 and smallest < self._needed_size(arm))
         if self._uses_servo:
             return super()._next_action(arm, grippers)
         rim = self._rim(arm, grippers)
         before = self._goals
-        speed = float(np.linalg.norm(rim - self._last_rim - self._drift))
+        speed = float(np.linalg.norm(rim - self._last_rim))
         self._last_rim = rim
         # The servo's stops: lower the loop; or lift and back off when it did not go in.
-        if self._stop:
+        if self._stop != "far":
             self._followed = len(self._path)
             self._speed = np.zeros((2, 3))
             action = super()._next_action(arm, grippers)
-            if self._stop < DOWN:
-                self._stop = 0
+            if self._stop in ("near", "over"):
+                self._stop = "far"
             return action
         # Let go of a loop that is around the target and seated. A loop that is not seen is first lowered by the servo.
         linked = min(loop.around for loop in self._chosen)
-        self._waited += bool(np.linalg.norm(rim - arm.tip) < _CLOSE)
-        seated = np.linalg.norm(self._seat(arm) - rim) < _SEATED and speed < _STILL
-        if linked >= SURE and (seated or self._waited > self._patience / 2):
+        self._waited += bool(np.linalg.norm(rim - arm.tip) < options.close)
+        seated = np.linalg.norm(self._seat(arm) - rim) < options.seated and speed < options.still
+        if linked >= options.sure and (seated or self._waited > self._patience / 2):
             if all(loop.is_seen for loop in self._chosen):
                 return np.eye(7, dtype=np.float32)[6]
-            self._stop = DOWN
+            self._stop = "down"
             self._waited = 0
             return super()._next_action(arm, grippers)
         if self._waited > self._patience:
-            self._stop = LIFT
+            self._stop = "lift"
             self._waited = 0
             self._last = None
         # Follow the plan, or make a new one.
-        if self._followed in (self._replan_every, len(self._path)):
+        if self._followed in (options.replan_every, len(self._path)):
             self._path = self._best(arm, rim, linked > 0)
             self._followed = 0
         self._followed += 1
@@ -242,24 +216,27 @@ class Planner(Servo):
 
     def _curves(self) -> tuple[list[Array], Array]:
         """Return places of corners of the chosen cycles, and of their rims, in the frame in which they were observed."""
-        cycles = [self._observed_places(loop.curve[:: -(-len(loop.curve) // _CORNERS)]) for loop in self._chosen]
+        curves = [loop.curve for loop in self._chosen]
+        cycles = [self._observed_places(curve[:: -(-len(curve) // self.options.corners)]) for curve in curves]
         return cycles, self._observed_places(np.array([loop.opening.rim for loop in self._chosen]))
 
     def _best(self, arm: Arm, rim: Array, linked: bool) -> Array:
         """Return the goals (60, 2, 3) of the best path."""
+        options = self.options
         cycles, rims = self._curves()
         # Begin with a guess and with the rest of the last plan.
         kept = self._guess(arm, rim, linked)[None]
-        spread = _SPREAD
+        spread = np.array(options.spread)
         if self._last is not None:
-            last = self._last(np.minimum(_KNOTS[1:] + self._replan_every, _KNOTS[-1])) - self._last(self._replan_every)
-            kept = np.concatenate([kept, last[None]])
+            later = np.minimum(_KNOTS[1:] + options.replan_every, _KNOTS[-1])
+            rest = self._last(later) - self._last(options.replan_every)
+            kept = np.concatenate([kept, rest[None]])
         # Draw paths about the best, keep the best of them, and draw again with half the spread.
-        for _ in range(self._rounds):
-            about = kept[self._random.integers(len(kept), size=self._plans - len(kept))]
+        for _ in range(options.rounds):
+            about = kept[self._random.integers(len(kept), size=options.plans - len(kept))]
             paths = np.concatenate([kept, about + spread * self._random.normal(size=about.shape)])
-            goals = self._goals_of(paths, rim, arm.out)
-            order = np.argsort(self._costs(goals, cycles, rims, arm, linked))[:_BEST]
+            goals = self._goals_of(paths, rim)
+            order = np.argsort(self._costs(goals, cycles, rims, arm, linked))[: options.best]
             kept = paths[order]
             spread = spread / 2
         self._last = _through(kept[0])
@@ -273,7 +250,8 @@ class Planner(Servo):
         gone = self._pace * self.max_step * _KNOTS[1:]
         places = np.stack([np.interp(gone, length, axis) for axis in legs.T], axis=1)
         facing = angle(self._loop_direction(), arm.out)
-        return np.column_stack([places - rim, np.clip(facing, -TURN * _KNOTS[1:], TURN * _KNOTS[1:])])
+        most = self.options.turn * _KNOTS[1:]
+        return np.column_stack([places - rim, np.clip(facing, -most, most)])
 
     def _stops(self, arm: Arm, rim: Array) -> list[Array]:
         """Return places to pass before the rim sinks: up beside the target, before it, above the tip, above the seat."""
@@ -287,30 +265,28 @@ class Planner(Servo):
         """Return where the rim should come to rest."""
         return np.asarray(arm.seat + [0, 0, self.radius - 0.02])
 
-    def _goals_of(self, paths: Array, pivot: Array, out: Array) -> Array:
+    def _goals_of(self, paths: Array, pivot: Array) -> Array:
         """Return goals (C, 60, 2, 3) of paths (C, knots, 4), within the limits of speed and of acceleration."""
         # Move and turn the grippers about the rim along the smooth curve of each path.
-        frames = np.arange(1, _KNOTS[-1] + 1)
-        path = _through(paths)(frames)
-        path[..., :3] += frames[:, None] * self._drift
+        path = _through(paths)(np.arange(1, _KNOTS[-1] + 1))
         goals = turned(self._goals - pivot, path[..., 3, None]) + pivot + path[..., None, :3]
         last = np.broadcast_to(self._goals, goals[:, 0].shape)
         step = np.broadcast_to(self._speed, goals[:, 0].shape)
-        # The limit of speed relative to the target is lower when the target comes nearer.
         fast = self._pace * self.max_step
-        limit = max(fast - _CHASE * max(float(self._drift @ out), 0), fast / 5)
+        change = self.options.step_change * fast
         for k in range(goals.shape[1]):
-            wanted = self._drift + np.clip(goals[:, k] - last - self._drift, -limit, limit)
-            step = np.clip(wanted, step - _STEP_CHANGE * fast, step + _STEP_CHANGE * fast)
+            wanted = np.clip(goals[:, k] - last, -fast, fast)
+            step = np.clip(wanted, step - change, step + change)
             last = last + step
             goals[:, k] = last
         return goals
 
+    # -- costs
+
     def _costs(self, goals: Array, cycles: list[Array], rims: Array, arm: Arm, linked: bool) -> Array:
         """Return the guide (C,) under paths of the grippers, metres: its mean over some of their frames."""
         frames = np.minimum(_GUIDE_FRAMES + self._age, _GUIDE_FRAMES[-1])
-        gone = (frames + 1 - self._age)[:, None, None] * self._drift  # motion of the target until these frames
-        places = self._moved(goals, np.concatenate([rims, *cycles]))[:, frames] - gone
+        places = self._moved(goals, np.concatenate([rims, *cycles]))[:, frames]
         return self._mean_guide(places, cycles, len(rims), arm, linked)
 
     def _mean_guide(self, places: Array, cycles: list[Array], n: int, arm: Arm, linked: bool) -> Array:
@@ -333,10 +309,10 @@ class Planner(Servo):
         low = np.maximum(over[2] - rim[..., 2], 0) * np.exp(-((((rim - arm.tip) @ arm.out) / 0.13) ** 2))
         # Before the loop is around: the path over the tip, in and down. After that: the rest of the path.
         distance = np.linalg.norm(rim - over, axis=-1) + np.linalg.norm(over - above) + np.linalg.norm(above - seat)
-        remaining = distance + _TURN_COSTS * aside
+        remaining = distance + self.options.turn_costs * aside
         left = np.linalg.norm(rim - (seat if linked else above), axis=-1)
         guide = np.where(self._around(cycle, arm), left, remaining)
-        return guide if linked else guide + _LOW_COSTS * low
+        return guide if linked else guide + self.options.low_costs * low
 
     def _around(self, cycle: Array, arm: Arm) -> Array:
         """Return for cycles (C, F, L, 3) whether they wind around the target, (C, F)."""

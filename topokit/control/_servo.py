@@ -11,45 +11,48 @@ Source: visual servoing is from Hutchinson, Hager and Corke 1996, *A tutorial on
 
 from __future__ import annotations
 
-from abc import ABC, abstractmethod
 from collections import deque
 from collections.abc import Mapping
 from dataclasses import dataclass
 from typing import Any, NamedTuple
 
 import numpy as np
-from numpy.typing import ArrayLike, NDArray
+from numpy.typing import NDArray
+from scipy.ndimage import uniform_filter1d
+from scipy.spatial import cKDTree
 
 from topokit._geometry import angle, turned
 from topokit._opening import Opening, lies_flat
-from topokit._validate import as_points, as_reals, positive, whole
 from topokit.rips import tighten
 from topokit.sampling import as_tree
 from topokit.seqph import SeqPH
 
-from ._arm import Arm, Array, drawn
+from ._arm import Arm, Array
 
-_FIRST_LOOKS = 6  # frames in which loops are tracked before anything moves
-SURE = 5  # frames in a row in which the loops must be around the target before the grippers let go
-PATIENCE = 60  # frames at most until a stop on the rail is reached, and until a loop is seen
-USUAL_STEP = 0.0432  # metres in a frame with which stops are reached in that time; slower grippers get more frames
-_QUARTER = 45  # frames in which a garment that shows no loop is turned by 90 degrees
-_SHOWN = PATIENCE // 2 + 3 * _QUARTER  # frames after which a garment that shows no loop has been turned to both sides
-_TRIES = 4  # runs along the rail before the servo gives up
-_LONGEST_DELAY = 30  # frames by which a cloud can be late, at most
-_NEAR = 0.025  # metres that are near enough to a stop
-_FACING = 7.0  # degrees between the opening and the arm that are near enough
-_NEW_WEIGHT = 0.3  # weight of a new measurement of an opening
-_SAME_LOOP = 0.08  # metres between the openings of one loop in two frames, at most
-_GAIN = 0.15  # share of the remaining move and turn that is made in a frame
-TURN = 3.5  # degrees in a frame, at most
-_WIDEN = 0.01  # metres by which grippers go apart in a frame, at most
-_LEASH = 0.2  # metres by which a goal may lead its gripper along an axis
+USUAL_STEP = 0.0432  # metres in a frame: 1.2 m/s in 36 ms
+
 # The stops of the rail: metres before the tip (-1: the stop is above the seat), and the speed as a share of the largest step.
-_RAIL = {"far": (0.35, 0.5), "near": (0.13, 0.3), "over": (-1, 0.2), "down": (-1, 0.25)}
-_RAIL |= {"lift": (-1, 0.2), "back": (0.13, 0.3)}
-DOWN = list(_RAIL).index("down")
-LIFT = list(_RAIL).index("lift")
+_RAIL = {"far": (0.35, 0.5), "near": (0.13, 0.3), "over": (-1, 0.2)}
+_RAIL |= {"down": (-1, 0.25), "lift": (-1, 0.2), "back": (0.13, 0.3)}
+
+
+@dataclass(frozen=True)
+class ServoOptions:
+    """Thresholds of the servo. They suit the garments of the wardrobe, at 36 ms a frame, on hooks and hangers."""
+
+    first_looks: int = 6  #: frames in which loops are tracked before anything moves
+    sure: int = 5  #: frames in a row in which the loops must be around the target before the grippers let go
+    #: Frames at most until a stop is reached, and until a loop is seen; slower grippers get more frames for a stop.
+    patience: int = 60
+    quarter: int = 45  #: frames in which a garment that shows no loop is turned by 90 degrees
+    tries: int = 4  #: runs along the rail before the servo gives up
+    near: float = 0.025  #: metres that are near enough to a stop
+    facing: float = 7.0  #: degrees between the opening and the arm that are near enough
+    new_weight: float = 0.3  #: weight of a new measurement of an opening
+    same_loop: float = 0.08  #: metres between the openings of one loop in two frames, at most
+    gain: float = 0.15  #: share of the remaining move and turn that is made in a frame
+    turn: float = 3.5  #: degrees in a frame, at most
+    leash: float = 0.2  #: metres by which a goal may lead its gripper along an axis
 
 
 class _PastFrame(NamedTuple):
@@ -80,129 +83,90 @@ class _KnownLoop:
         """Return whether the last cloud shows the loop."""
         return self.cycle is not self.curve
 
-
-class Controller(ABC):
-    """The interface of a controller: `reset` it, let it `act` on observations, and read a `reason` when it gives up."""
-
-    reason: str = ""  #: why the controller has given up, in words; empty while it goes on
-
-    @abstractmethod
-    def reset(self, observation: Mapping[str, Any]) -> None:
-        """Forget everything, and begin with a first observation.
-
-        Parameters
-        ----------
-        observation : mapping
-            An observation of `topokit.sim.HangEnv`, or of a robot, in one frame of reference with z up, in metres: `points`
-            (n, 3) of the garment; `grippers` (2, 3); `target` (K, 3), its centre line from the floor to the tip; `held`, 1
-            until the grippers let go; and for a mannequin `rods` (R, 7), capsules as start, end and radius.
-        """
-
-    @abstractmethod
-    def act(self, observation: Mapping[str, Any]) -> NDArray[np.float32]:
-        """Return the next action (7,): a share of `max_step` along each axis for both grippers; above 0.5 the last lets go.
-
-        Parameters
-        ----------
-        observation : mapping
-            As for `reset`.
-
-        Raises
-        ------
-        ValueError
-            When an entry is missing, has another shape, or is not finite.
-        RuntimeError
-            Before the first `reset`.
-        """
+    def carry(self, cloth: cKDTree, new_weight: float) -> None:
+        """Move the curve evenly to the nearest cloth, and a little to its place when last seen."""
+        distance, nearest = cloth.query(self.curve)
+        pull = np.where(
+            (distance < 0.06)[:, None], cloth.data[nearest] - self.curve, 0
+        )  # within 6 cm it can be the same
+        pull = uniform_filter1d(pull, max(3, len(self.curve) // 3), axis=0, mode="wrap")
+        self.curve = np.asarray(0.9 * (self.curve + pull / 2) + 0.1 * self.last_seen)
+        self.cycle = self.curve
+        self.opening = self.opening.blended(Opening.of(self.curve) or self.opening, new_weight)
 
 
-_WIDTHS = {"points": 3, "grippers": 3, "target": 3, "rods": 7}  # of the entries of an observation
-
-
-def entry(observation: Mapping[str, Any], name: str) -> Array:
-    """Return an entry (n, width) of an observation, or raise ValueError that names it."""
-    if name not in observation:
-        raise ValueError(f"the observation has no {name!r}; it has {', '.join(observation)}")
-    values = as_points(observation[name], name, copy=True)  # a robot may use its buffer again
-    if values.shape[1] != _WIDTHS[name] or (name == "grippers" and len(values) != 2):
-        rows = 2 if name == "grippers" else "n"
-        raise ValueError(f"{name} of the observation must have the shape ({rows}, {_WIDTHS[name]}), not {values.shape}")
-    return values
-
-
-class Servo(Controller):
+class Servo:
     """Hang a garment by its tracked loops, without a forecast.
+
+    A controller has three members: `reset(observation)`, `act(observation)`, and `reason`, which says in words why it has given
+    up and is empty while it goes on. An observation is that of `topokit.sim.HangEnv`, or of a robot, in one frame of reference
+    with z up, in metres: `points` (n, 3) of the garment; `grippers` (2, 3); `target` (K, 3), its centre line from the floor to
+    the tip; and `held`, 1 until the grippers let go.
 
     Parameters
     ----------
-    goal : optional
-        The loop to hang. With None, the loop that is easiest to reach. With three numbers, the loop nearest to that place, in
-        metres from midway between the grippers at the start: x from the first gripper to the second, level, and z up. With a
-        whole number, that many loops at once.
+    n_loops : int
+        How many loops are to hang at once: those that are easiest to reach.
     radius : float
         Radius of the target's rods, metres.
     max_step : float
         Metres that a gripper's goal moves along an axis for an action of 1.
     cloud_delay : int
         Frames by which clouds are late. A late cloud is placed by where the grippers were when it was taken.
+    options : ServoOptions
+        The thresholds.
     """
 
     def __init__(
-        self, goal: ArrayLike | None = None, *, radius: float = 0.02, max_step: float = USUAL_STEP, cloud_delay: int = 0
+        self,
+        n_loops: int = 1,
+        *,
+        radius: float = 0.02,
+        max_step: float = USUAL_STEP,
+        cloud_delay: int = 0,
+        options: ServoOptions = ServoOptions(),
     ) -> None:
-        self._count = 1  # how many loops are to hang
-        self._place: Array | None = None  # the place whose nearest loop is to hang
-        if goal is not None and np.ndim(goal) == 0:
-            self._count = whole(goal, "goal", 1)
-        elif goal is not None:
-            self._place = as_reals(goal, "goal").astype(np.float64)
-            if self._place.shape != (3,) or not np.isfinite(self._place).all():
-                raise ValueError(
-                    f"goal must be None, a whole number of loops, or a place of three finite numbers, not {goal!r}"
-                )
-        self.radius = positive(radius, "radius")
-        self.max_step = positive(max_step, "max_step", zero=False)
-        self._patience = PATIENCE * max(1.0, USUAL_STEP / self.max_step)
-        self._delay = whole(cloud_delay, "cloud_delay", 0, _LONGEST_DELAY)
+        self.n_loops = n_loops
+        self.radius = radius
+        self.max_step = max_step
+        self.cloud_delay = cloud_delay
+        self.options = options
+        self._patience = options.patience * max(1.0, USUAL_STEP / max_step)
 
     def reset(self, observation: Mapping[str, Any]) -> None:
-        """Forget everything, and begin with a first observation of `topokit.sim.HangEnv`."""
+        """Forget everything, and begin with a first observation."""
         self.reason = ""
         self._tracker = SeqPH()
-        self._goals = entry(observation, "grippers")
-        self._approach_from = self._goals.mean(axis=0)  # the place from which a head is approached
+        self._goals = np.array(observation["grippers"], np.float64)
         # The loops that were seen, those that are to hang, and whether too few of the loops have an upright opening.
         self._known_loops: list[_KnownLoop] = []
         self._chosen: list[_KnownLoop] = []
         self._no_opening_seen = False
         # Frames so far, the stop on the rail, the frames spent on the way to it, and the runs that failed.
         self._frame = 0
-        self._stop = 0
+        self._stop = "far"
         self._waited = 0
         self._tries = 0
-        # The last cloud, its age in frames, the frames of the past, and the motion of the target in a frame.
+        # The last cloud, its age in frames, and the frames of the past.
         self._cloud = np.zeros((0, 3))
         self._age = 0
-        self._past = deque[_PastFrame](maxlen=_LONGEST_DELAY + 1)
-        self._drift = np.zeros(3)
+        self._past = deque[_PastFrame](maxlen=31 + self.cloud_delay)
 
     def act(self, observation: Mapping[str, Any]) -> NDArray[np.float32]:
-        """Return the next action; nothing moves once there is a `reason` to give up."""
-        self._check_begun()
-        points = entry(observation, "points")
-        grippers = entry(observation, "grippers")
-        line = entry(observation, "target")
-        arm = Arm.of(line) or Arm.of_head(line, entry(observation, "rods"), self._approach_from)
+        """Return the next action (7,): a share of `max_step` along each axis for both grippers; above 0.5 the last lets go.
+
+        Nothing moves once there is a `reason` to give up.
+        """
+        points, grippers, line = (np.array(observation[name], np.float64) for name in ("points", "grippers", "target"))
+        arm = Arm.of(line)
         if arm is None:
-            self.reason = "the target has neither an arm that runs sideways nor a head on shoulders"
+            self.reason = "the target has no arm that runs sideways"
         if arm is None or self.reason or not observation["held"]:
             return np.zeros(7, np.float32)
         self._frame += 1
-        self._least_width = arm.wide
         self._follow(points, grippers, line)
         # Choose the loops once they have been tracked for some frames.
-        arm = arm.drawn_back(self._drift)
-        if not self._chosen and self._frame >= _FIRST_LOOKS:
+        if not self._chosen and self._frame >= self.options.first_looks:
             self._choose(arm, self._to_gripper_frame(points))
         if not self._chosen:
             return self._turn_to_show(grippers)
@@ -211,33 +175,28 @@ class Servo(Controller):
         for loop in self._chosen:
             if arm.holds(self._to_world(loop.cycle)):
                 loop.around += 1
-            elif loop.is_seen or self._stop < DOWN:
+            elif loop.is_seen or self._stop in ("far", "near", "over"):
                 loop.around = 0
         return self._next_action(arm, grippers)
 
     @property
     def goals(self) -> Array:
         """Return the places (2, 3) to which the last action moves the grippers, metres; a robot is sent there."""
-        self._check_begun()
         return self._goals.copy()
 
-    def _check_begun(self) -> None:
-        """Raise RuntimeError before the first `reset`."""
-        if not hasattr(self, "_goals"):
-            raise RuntimeError("no observation yet: call reset(observation) first")
+    # -- what is seen
 
     def _follow(self, points: Array, grippers: Array, line: Array) -> None:
-        """Take in a frame: the age of its cloud, the loops of a new cloud, and the motion of the target."""
+        """Take in a frame: the age of its cloud, and the loops of a new cloud."""
         # A cloud is new when it differs from the last one. It also counts as new when the grippers stand still, for then its age
         # does not matter.
         new = not np.array_equal(points, self._cloud)
         if self._past:
             new |= np.array_equal(grippers, self._past[-1].grippers)
-            self._drift = (self._drift + line[-1] - self._past[-1].line[-1]) / 2
         self._middle = grippers.mean(axis=0)
         self._yaw = angle(np.eye(3)[0], grippers[1] - grippers[0])
         self._past.append(_PastFrame(grippers, line, self._goals, self._middle, self._yaw))
-        self._age = min(self._delay if new else self._age + 1, len(self._past) - 1)
+        self._age = min(self.cloud_delay if new else self._age + 1, len(self._past) - 1)
         self._cloud = points
         if new:
             self._observe_cloud(points)
@@ -260,6 +219,7 @@ class Servo(Controller):
 
     def _observe_cloud(self, points: Array) -> None:
         """Update the known loops by a new cloud; carry a loop that is not seen along with the cloth near it."""
+        options = self.options
         unseen = list(self._known_loops)
         points = np.unique(points, axis=0)
         for loop in self._tracker.update(points).loops:
@@ -269,7 +229,7 @@ class Servo(Controller):
             cycle = self._to_gripper_frame(loop.cycle_points)
             # Once loops are chosen, skip the loops far from them: tightening takes time.
             gaps = [np.linalg.norm(known.curve.mean(axis=0) - cycle.mean(axis=0)) for known in self._chosen]
-            if min(gaps, default=0.0) > 2 * _SAME_LOOP:
+            if min(gaps, default=0.0) > 2 * options.same_loop:
                 continue
             curve = self._to_gripper_frame(points[tighten(points, loop.cycle, radius=loop.birth + loop.lifetime / 4)])
             opening = Opening.of(curve)
@@ -277,34 +237,35 @@ class Servo(Controller):
                 continue
             # Identify it with the known loop whose opening is nearest, or add it as a new one.
             nearest = min(unseen, key=lambda known: known.opening.gap(opening), default=None)
-            if nearest is None or nearest.opening.gap(opening) > _SAME_LOOP:
+            if nearest is None or nearest.opening.gap(opening) > options.same_loop:
                 self._known_loops.append(_KnownLoop(cycle, curve, curve, opening))
                 continue
             nearest.cycle = cycle
             nearest.curve = curve
             nearest.last_seen = curve
             nearest.times_seen += 1
-            nearest.opening = nearest.opening.blended(opening, _NEW_WEIGHT)
+            nearest.opening = nearest.opening.blended(opening, options.new_weight)
             unseen.remove(nearest)
-        # Carry the loops that are not seen along with the nearest cloth.
         cloth = as_tree(self._to_gripper_frame(points))
         for known in unseen:
-            known.curve = drawn(known.curve, known.last_seen, cloth)
-            known.cycle = known.curve
-            known.opening = known.opening.blended(Opening.of(known.curve) or known.opening, _NEW_WEIGHT)
+            known.carry(cloth, options.new_weight)
+
+    # -- which loops hang
 
     def _choose(self, arm: Arm, cloud: Array) -> None:
         """Choose the loops to hang, and the side from which the arm goes through them."""
-        if self._count > 1:
+        if self.n_loops > 1:
             self._add_twins()
         # A loop can hang when it was seen twice, does not lie flat, and is large enough.
         needed = self._needed_size(arm)
         seen = [loop for loop in self._known_loops if loop.times_seen > 1]
         upright = [loop for loop in seen if not lies_flat(loop.curve)]
         fit = [loop for loop in upright if loop.opening.size.sum() >= needed]
-        if len(fit) < self._count:
-            self._no_opening_seen = len(upright) < self._count
-            patience = _SHOWN if self._no_opening_seen else PATIENCE
+        if len(fit) < self.n_loops:
+            self._no_opening_seen = len(upright) < self.n_loops
+            patience = self.options.patience
+            if self._no_opening_seen:
+                patience = patience // 2 + 3 * self.options.quarter  # until the garment has been turned to both sides
             if self._frame >= patience:
                 counts = f"{len(seen)} loops are seen, {len(upright)} of them do not lie flat"
                 size = f"{len(fit)} of these are as large as this target needs, {2 * needed:.2f} m around"
@@ -318,15 +279,13 @@ class Servo(Controller):
             return abs(angle(opening.normal, front)) / 1800 + 0.02 * opening.blocked(cloud, arm.reach / 2)
 
         def distance(loop: _KnownLoop) -> float:
-            """Return how far a loop is from the goal, or from the line between the grippers, with the effort."""
-            if self._place is not None:
-                return float(np.linalg.norm(loop.cycle.mean(axis=0) - self._place))
+            """Return how far a loop is from the line between the grippers, with the effort."""
             nearest = [np.clip(loop.opening.rim[0], -half, half), 0, 0]
             return float(np.linalg.norm(loop.opening.rim - nearest)) + effort(loop.opening)
 
         for loop in fit:
             loop.opening = min(loop.opening, loop.opening.along(-loop.opening.normal), key=effort)
-        self._chosen = sorted(fit, key=distance)[: self._count]
+        self._chosen = sorted(fit, key=distance)[: self.n_loops]
         self._across = self._chosen[0].opening.normal * [1, 0, 0]
 
     def _add_twins(self) -> None:
@@ -334,48 +293,58 @@ class Servo(Controller):
         mirror = np.array([-1, 1, 1])
         for loop in list(self._known_loops):
             twin = Opening(loop.opening.rim * mirror, loop.opening.normal * mirror, loop.opening.size)
-            if min(known.opening.gap(twin) for known in self._known_loops) > _SAME_LOOP / 2:
+            if min(known.opening.gap(twin) for known in self._known_loops) > self.options.same_loop / 2:
                 curve = loop.curve * mirror
                 self._known_loops.append(_KnownLoop(curve, curve, curve, twin, loop.times_seen))
 
     def _turn_to_show(self, grippers: Array) -> NDArray[np.float32]:
         """Wait for a loop, and after a while turn the garment to both sides: an opening seen edge-on is a line."""
-        turns = (self._frame - PATIENCE // 2) // _QUARTER
+        quarter = self.options.quarter
+        turns = (self._frame - self.options.patience // 2) // quarter
         if turns < 0 or not self._no_opening_seen:
             return np.zeros(7, np.float32)
-        step = (-90 if turns else 90) / _QUARTER
+        step = (-90 if turns else 90) / quarter
         return self._action_towards(turned(self._goals - self._middle, step) + self._middle, grippers)
+
+    # -- where the grippers go
 
     def _next_action(self, arm: Arm, grippers: Array) -> NDArray[np.float32]:
         """Return the action that brings the rim nearer to its stop and turns the opening to the arm, or that lets go."""
+        options = self.options
         # Find the move and the turn that are missing to the stop.
-        stop = list(_RAIL)[self._stop]
+        stop = self._stop
         rim = self._rim(arm, grippers)
         if stop == "down":  # the grippers themselves go down to the seat, so that the cloth cannot fall any more
             rim[2] = self._middle[2]
         gap = self._rim_goal(stop, arm, rim) - rim
         facing = angle(self._loop_direction(), arm.out)
-        arrived = np.linalg.norm(gap) < _NEAR and abs(facing) < _FACING
+        arrived = np.linalg.norm(gap) < options.near and abs(facing) < options.facing
         # Let go, go on to the next stop, or begin again at the second one.
-        sure = min(loop.around for loop in self._chosen) >= SURE
+        sure = min(loop.around for loop in self._chosen) >= options.sure
         self._waited += 1
         if stop == "down" and sure and (arrived or self._waited > self._patience / 2):
             return np.eye(7, dtype=np.float32)[6]
         if (arrived and stop != "down") or self._waited > self._patience:
-            self._stop += 1
-            self._waited = 0
-        if self._stop == len(_RAIL):
-            self._stop = 1
-            self._tries += 1
-            for loop in self._chosen:
-                loop.around = 0
-            if self._tries == _TRIES:
-                self.reason = f"the loop did not come around the target in {_TRIES} tries"
-        # Make a share of the missing move and turn, no faster than the stop allows, and follow a target that moves.
-        move = _GAIN * gap
+            self._go_on()
+        # Make a share of the missing move and turn, no faster than the stop allows.
+        move = options.gain * gap
         move *= min(1.0, _RAIL[stop][1] * self.max_step / max(float(np.linalg.norm(move)), 1e-9))
-        goals = rim + turned(self._goals - rim, np.clip(_GAIN * facing, -TURN, TURN)) + move + self._drift
-        return self._action_towards(goals, grippers)
+        turn = np.clip(options.gain * facing, -options.turn, options.turn)
+        return self._action_towards(rim + turned(self._goals - rim, turn) + move, grippers)
+
+    def _go_on(self) -> None:
+        """Go on to the next stop, or begin again at the second one."""
+        self._waited = 0
+        stops = list(_RAIL)
+        if self._stop != stops[-1]:
+            self._stop = stops[stops.index(self._stop) + 1]
+            return
+        self._stop = "near"
+        self._tries += 1
+        for loop in self._chosen:
+            loop.around = 0
+        if self._tries == self.options.tries:
+            self.reason = f"the loop did not come around the target in {self._tries} tries"
 
     def _loop_direction(self) -> Array:
         """Return the level direction in which the arm should go through the loops."""
@@ -395,29 +364,6 @@ class Servo(Controller):
         rim = np.array([*rims.mean(axis=0)[:2], rims[:, 2].min()])
         return np.asarray(rim + (along_arm.max() - rim @ arm.out) * arm.out)
 
-    def _action_towards(self, goals: Array, grippers: Array) -> NDArray[np.float32]:
-        """Return the action that moves the grippers' goals to the given ones, or as near as a step allows.
-
-        For a strap that goes over a head, the goals are also moved apart until the strap is wide enough.
-        """
-        apart = goals[1] - goals[0]
-        gap = max(float(np.linalg.norm(apart)), 1e-9)
-        goals = goals + np.array([[-0.5], [0.5]]) * apart / gap * np.clip(self._least_width - gap, 0, _WIDEN)
-        move = np.clip((goals - self._goals) / self.max_step, -1, 1)
-        self._goals = np.clip(self._goals + self.max_step * move, grippers - _LEASH, grippers + _LEASH)
-        return np.append(move.ravel(), 0.0).astype(np.float32)
-
-    def _needed_size(self, arm: Arm) -> float:
-        """Return half the length around what a loop must pass over, metres: the arm with its tip, or the head."""
-        if arm.wide:
-            return 1.3 * arm.wide
-        return float(arm.tip[2] - arm.end[2] + 4 * self.radius)
-
-    def _clearance(self, arm: Arm) -> float:
-        """Return how far above the tip the rim should pass, metres, so that the tip goes through the middle of the opening."""
-        opening = min(loop.opening.size[0] for loop in self._chosen)
-        return float(self.radius + np.clip((opening - arm.tip[2] + arm.end[2]) / 2 - self.radius, 0.015, 0.06))
-
     def _rim_goal(self, stop: str, arm: Arm, rim: Array) -> Array:
         """Return where the rim should be at a stop."""
         if stop == "down":
@@ -430,3 +376,19 @@ class Servo(Controller):
         else:
             x, y, _ = arm.seat
         return np.array([x, y, arm.tip[2] + self._clearance(arm) + 0.02 * self._tries])
+
+    def _needed_size(self, arm: Arm) -> float:
+        """Return half the length around what a loop must pass over, metres: the arm with its tip."""
+        return float(arm.tip[2] - arm.end[2] + 4 * self.radius)
+
+    def _clearance(self, arm: Arm) -> float:
+        """Return how far above the tip the rim should pass, metres, so that the tip goes through the middle of the opening."""
+        opening = min(loop.opening.size[0] for loop in self._chosen)
+        return float(self.radius + np.clip((opening - arm.tip[2] + arm.end[2]) / 2 - self.radius, 0.015, 0.06))
+
+    def _action_towards(self, goals: Array, grippers: Array) -> NDArray[np.float32]:
+        """Return the action that moves the grippers' goals to the given ones, or as near as a step allows."""
+        leash = self.options.leash
+        move = np.clip((goals - self._goals) / self.max_step, -1, 1)
+        self._goals = np.clip(self._goals + self.max_step * move, grippers - leash, grippers + leash)
+        return np.append(move.ravel(), 0.0).astype(np.float32)

@@ -25,23 +25,17 @@ from topokit.sim import (
     WARDROBE,
     Camera,
     Cloth,
-    DepthNoise,
     Garment,
-    GripperPath,
     Hanger,
     Hook,
     Mannequin,
-    Placed,
     Randomisation,
     SimulationConfig,
-    Target,
     Task,
-    off_script,
     simulate,
-    task_for,
 )
 
-from ._sizes import varied_garment, varied_target
+from ._sizes import Target, varied_garment, varied_target
 
 _LATER = ("scarf", "belt", "net")  # garments that are not in the default tasks of version 1
 _OF_TWO = ("off_script", "places", "vary", "meshes")
@@ -116,7 +110,7 @@ class DatasetConfig:
     cameras: Annotated[int, Field(ge=0, le=100)] = 0
     camera_distance: Positive = 2.2  #: metres from the cameras to the seat of the target
     depth_noise: bool = False  #: True gives the cameras the noise of a depth sensor
-    #: Share of the episodes whose path leaves its script (`topokit.sim.off_script`). This and all later fields: version 2.
+    #: Share of the episodes whose path leaves its script (`topokit.sim.Task.off_script`). This and all later fields: version 2.
     off_script: Annotated[float, Field(ge=0, le=1)] = 0.0
     #: Half the side, in metres, of the square in which the target's place is drawn, with any yaw; 0 draws neither.
     places: Annotated[float, Field(ge=0, le=1)] = 0.0
@@ -232,7 +226,7 @@ def pinned(config: DatasetConfig) -> DatasetConfig:
 def _task(config: DatasetConfig, name: str, garment: Garment) -> Task:
     mesh, _, target = name.rpartition("-")
     if mesh in config.meshes:
-        return task_for(garment, _TARGETS[target]())
+        return Task.of(garment, _TARGETS[target]())
     return TASKS[name]
 
 
@@ -271,17 +265,13 @@ def _scene(config: DatasetConfig, name: str, seed: int) -> tuple[Task, Garment, 
         garment, target = _varied(config, name, task, garment, seed)
 
     # The same generator decides that a path leaves its script, and draws that path.
-    script = task.plan
     rng = Randomisation.generator(seed, "script")
     if rng.random() < config.off_script:
-
-        def leave_script(garment: Garment, target: Target, own: np.random.Generator) -> GripperPath:
-            return off_script(script(garment, target, own), garment, target, rng)
-
-        task = dataclasses.replace(task, plan=leave_script)
+        task = task.off_script(rng)
     if config.places:
         x, y, turn = Randomisation.generator(seed, "place").uniform(-1, 1, 3).tolist()
-        target = Placed(target, x=config.places * x, y=config.places * y, yaw=180 * turn)
+        place = (config.places * x, config.places * y, 0.0)
+        target = dataclasses.replace(target, place=place, yaw=180 * turn)
     return task, garment, target
 
 
@@ -328,7 +318,7 @@ def make_episode(config: DatasetConfig, seed: int, index: int, *, time_limit: fl
     cameras: Sequence[Camera] = ()
     n_observed = min(config.n_observed, len(garment.vertices))
     if config.cameras:
-        noise = DepthNoise() if config.depth_noise else None
+        noise = float(config.depth_noise)
         cameras = Camera.around(target.seat, config.cameras, distance=config.camera_distance, noise=noise)
         n_observed = config.n_observed
     return simulate(

@@ -7,9 +7,10 @@ from collections.abc import Callable, Iterator, Mapping
 
 import numpy as np
 
-from topokit.sim import Garment, Target
+from topokit.sim import Garment, Hanger, Hook, Mannequin
 
 MOST = 1.25  # times as many vertices, faces and vertices of a loop as a garment has at its own sizes
+Target = Hook | Hanger | Mannequin
 _TRIES = 50
 _THIN = 0.02  # metres: cloth tunnels through thinner rods
 
@@ -39,7 +40,7 @@ def varied_garment(
 
 def varied_target(target: Target, vary: float, rng: np.random.Generator) -> Target:
     """Return the target with its sizes multiplied likewise; no rod gets so thin that cloth tunnels through it."""
-    own = {name: size for name, size in dataclasses.asdict(target).items() if name != "distance"}
+    own = {name: size for name, size in dataclasses.asdict(target).items() if name not in ("distance", "place", "yaw")}
     for sizes in _varied(own, vary, rng):
         thick = {name: max(size, min(own[name], _THIN)) for name, size in sizes.items() if "radius" in name}
         try:

@@ -9,15 +9,14 @@ from typing import TYPE_CHECKING
 from topokit._lazy import attach
 
 if TYPE_CHECKING:
-    from ._camera import Camera, DepthNoise
+    from ._camera import Camera
     from ._cloth import Cloth
     from ._env import HangEnv
-    from ._episode import explain, simulate
+    from ._episode import simulate
     from ._garments import Garment
-    from ._path import GripperPath, Via, off_script
     from ._randomisation import Randomisation
-    from ._targets import Hanger, Hook, Mannequin, Placed, Target
-    from ._tasks import TASKS, Task, task_for
+    from ._targets import Hanger, Hook, Mannequin
+    from ._tasks import TASKS, Task
     from ._wardrobe import WARDROBE
     from ._world import SimulationConfig, SimulationError, World
 

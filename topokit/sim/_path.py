@@ -17,9 +17,10 @@ import functools
 import itertools
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field, replace
+from typing import Any, NamedTuple
 
 import numpy as np
-from numpy.typing import ArrayLike
+from numpy.typing import ArrayLike, NDArray
 from scipy.interpolate import make_interp_spline
 
 from topokit._geometry import turned
@@ -28,59 +29,36 @@ from ._garments import Garment
 from ._surface import Array, EdgeGraph
 from ._targets import Target, gap
 
-_CLEAR = 0.3  # metres: the least distance of the cloth from the rods at a start
-_ABOVE = 0.05  # metres: the least distance of the cloth from the floor at a start
-_TAUT = 1.02  # the largest distance between the grippers, as a multiple of their distance along the cloth
-# Columns of the table that `off_script` changes.
-_TIME = 0
-_PLACE = slice(1, 4)
-_OPENING = 4
-_YAW = 5
-_REST = 6
+# A place on a path as a row of a table; the fields are those of `Via`.
+_ROW = np.dtype([("time", "f8"), ("place", "f8", 3), ("opening", "f8"), ("yaw", "f8"), ("rest", "?")])
+Table = NDArray[Any]
 
 
-@dataclass(frozen=True)
-class Via:
+class Via(NamedTuple):
     """A place on a path. At the first and the last place the grippers always stand still."""
 
-    time: float  #: seconds since the first frame
-    place: ArrayLike  #: (3,) the middle between the grippers, metres
-    opening: float = 1.0  #: distance between the grippers as a multiple of their distance at the start
-    rest: bool = False  #: whether the grippers stand still there
-    yaw: float = 0.0  #: degrees by which the grippers are turned about the vertical through their middle, x towards y
-
-    def __post_init__(self) -> None:
-        if np.shape(self.place) != (3,):
-            raise ValueError(f"place must be three numbers, x, y and z in metres, not {self.place!r:.80}")
+    time: float  # seconds since the first frame
+    place: ArrayLike  # (3,) the middle between the grippers, metres
+    opening: float = 1.0  # distance between the grippers as a multiple of their distance at the start
+    yaw: float = 0.0  # degrees by which the grippers are turned about the vertical through their middle, x towards y
+    rest: bool = False  # whether the grippers stand still there
 
 
 @dataclass(frozen=True, eq=False)
 class GripperPath:
     """The path of two grippers, and the time when they let go."""
 
-    LONGEST = 4.5  # seconds that an episode off its script lasts at most, unless the script lasts longer
-
-    vias: Sequence[Via]  #: at least two places, in the order of time; before and after them the grippers stand still
+    vias: Sequence[Via] | Table  #: at least two places, in the order of time; kept as a table of rows
     spread: Array  #: (2, 3) places of the grippers relative to their middle, at an opening of 1, metres
     release: float  #: seconds until the grippers let go
     end: float  #: seconds until the episode ends, long enough for the garment to come to rest
     #: The draws of `off_script` by their names; they are recorded in an episode's physics. Empty for a path on its script.
     drawn: Mapping[str, float] = field(default_factory=dict)
 
-    def __post_init__(self) -> None:
-        if len(self.vias) < 2:
-            raise ValueError(f"vias must hold at least two places, not {len(self.vias)}")
-        table = self._table
-        checks = (("vias", table, (len(self.vias), 6)), ("spread", np.asarray(self.spread), (2, 3)))
-        for name, values, shape in checks:
-            if values.shape != shape or not np.isfinite(values).all():
-                raise ValueError(f"{name} must be finite numbers of shape {shape}, not {values.tolist()}")
-        if not ((np.diff(table[:, 0]) > 0).all() and (table[:, 4] > 0).all()):
-            raise ValueError(f"the times of vias must increase and their openings be above 0: {self.vias}")
-        if not self.end >= self.release >= 0:
-            raise ValueError(
-                f"release must be 0 or later and end not before release, but release is {self.release} s and end {self.end} s"
-            )
+    @functools.cached_property
+    def table(self) -> Table:
+        """Return the places as a structured array: time, place, opening, yaw and rest of each."""
+        return np.array(self.vias, dtype=_ROW)
 
     def at(self, time: ArrayLike) -> Array:
         """Return the places (..., 2, 3) of the two grippers at some times (...).
@@ -89,8 +67,8 @@ class GripperPath:
         change recorded episodes by up to 0.3 mm. Therefore the sum is written out.
         """
         t = np.asarray(time, dtype=np.float64)
-        times = self._table[:, 0]
-        places = self._table[:, 1:]
+        times = self._times
+        places = self._places
         velocities, accelerations = self._derivatives
         # Find the segment i of the path at each time, its duration h, and the share s of the duration that is over.
         i = np.clip(np.searchsorted(times, t, side="right") - 1, 0, len(times) - 2)
@@ -107,18 +85,12 @@ class GripperPath:
         spread = np.stack([turned(gripper, value[..., 4]) for gripper in self.spread], -2)
         return np.asarray(value[..., None, :3] + value[..., None, 3:4] * spread)
 
-    def moved(self, place: ArrayLike, yaw: float) -> GripperPath:
-        """Return the path turned about the z axis, by degrees from x towards y, and then moved.
-
-        Parameters
-        ----------
-        place : (3,) array_like
-            Where the origin goes, metres.
-        yaw : float
-        """
-        origin = np.asarray(place, dtype=np.float64)
-        vias = [replace(via, place=turned(via.place, yaw) + origin, yaw=via.yaw + yaw) for via in self.vias]
-        return replace(self, vias=vias)
+    def placed(self, target: Target) -> GripperPath:
+        """Return the path turned and moved as a target is."""
+        table = self.table.copy()
+        table["place"] = target.placed(table["place"])
+        table["yaw"] += target.yaw
+        return replace(self, vias=table)
 
     @property
     def widest(self) -> float:
@@ -127,21 +99,27 @@ class GripperPath:
         return float(np.linalg.norm(first - second, axis=-1).max())
 
     @functools.cached_property
-    def _table(self) -> Array:
-        """Return the places of the path as rows (k, 6): time, middle, opening, yaw."""
-        rows = [[via.time, *np.asarray(via.place), via.opening, via.yaw] for via in self.vias]
-        return np.array(rows, dtype=np.float64)
+    def _times(self) -> Array:
+        """Return the times (k,) of the places, seconds."""
+        return self.table["time"].copy()
+
+    @functools.cached_property
+    def _places(self) -> Array:
+        """Return the rows (k, 5) of the spline: middle, opening, yaw."""
+        table = self.table
+        return np.column_stack([table["place"], table["opening"], table["yaw"]])
 
     @functools.cached_property
     def _derivatives(self) -> tuple[Array, Array]:
         """Return the velocities (k, 5) and accelerations (k, 5) at the places: 0 at a rest, else those of the spline."""
-        times = self._table[:, 0]
-        places = self._table[:, 1:]
+        times = self._times
+        places = self._places
         velocities = np.zeros_like(places)
         accelerations = np.zeros_like(places)
         # Each part from one rest to the next has a spline of its own, with velocity and acceleration 0 at both ends.
         still = ([(1, np.zeros(places.shape[1])), (2, np.zeros(places.shape[1]))],) * 2
-        rests = [0, *(i for i in range(1, len(self.vias) - 1) if self.vias[i].rest), len(self.vias) - 1]
+        last_row = len(times) - 1
+        rests = [0, *(np.flatnonzero(self.table["rest"][1:-1]) + 1), last_row]
         for first, last in itertools.pairwise(rests):
             if last - first > 1:
                 stroke = slice(first, last + 1)
@@ -158,26 +136,19 @@ def drawn_about(rng: np.random.Generator, place: ArrayLike, *ranges: tuple[float
 
 
 def off_script(path: GripperPath, garment: Garment, target: Target, rng: np.random.Generator) -> GripperPath:
-    """Return a path that differs from the script.
+    """Return a path that differs from the script, which was planned for the garment and the target before it is placed.
 
     One path in seven wanders about the target, and one in ten pushes the cloth against it. The others follow the script at
     another pace, with some of these changes: a miss, other openings, a detour, a stop, another start and yaw. The release may
     be early, late, or never.
-
-    Parameters
-    ----------
-    path : GripperPath
-        The script, planned for the garment and the target.
-    garment : Garment
-    target : Target
-        The target in the coordinates of the script.
-    rng : numpy.random.Generator
     """
-    table = _table(path)
+    table = path.table.copy()
     drawn: dict[str, float] = {}
     kind = rng.random()
-    longest = max(path.LONGEST, path.end)
-    drop = float(garment.vertices[garment.grips, 2].mean() - garment.vertices[:, 2].min()) + _ABOVE
+    longest = max(4.5, path.end)  # seconds of an episode
+    drop = (
+        float(garment.vertices[garment.grips, 2].mean() - garment.vertices[:, 2].min()) + 0.05
+    )  # 5 cm above the floor
     # Wander, push, miss, or follow the script.
     if kind < 0.15:
         drawn["wander"] = 1.0
@@ -189,106 +160,99 @@ def off_script(path: GripperPath, garment: Garment, target: Target, rng: np.rand
         approach = max(1, len(table) - 3)
         shift = rng.normal(0, 0.08, 3)
         turn = float(rng.normal(0, 15))
-        table[approach:, _PLACE] += shift
-        table[approach:, _YAW] += turn
+        table["place"][approach:] += shift
+        table["yaw"][approach:] += turn
         drawn["miss"] = float(np.linalg.norm(shift))
         drawn["turn"] = turn
     # Change the openings along the path.
     if rng.random() < 0.5:
         drawn["openings"] = 1.0
-        table[1:, _OPENING] *= rng.uniform(0.6, 1.4, len(table) - 1)
+        table["opening"][1:] *= rng.uniform(0.6, 1.4, len(table) - 1)
     # Take a detour: insert a place, and do what follows a quarter of a second later.
     if rng.random() < 0.3:
         i = int(rng.integers(1, len(table)))
         aside = rng.normal(0, 0.1, 3)
-        between = (table[i - 1] + table[i] + [0.25, 0, 0, 0, 0, 0, 0]) / 2 + [0, *aside, 0, 0, 0]
-        between[_REST] = 0
-        table[i:, _TIME] += 0.25
+        before = table[i - 1]
+        after = table[i].copy()
+        place = (before["place"] + after["place"]) / 2 + aside
+        opening = (before["opening"] + after["opening"]) / 2
+        between = Via((before["time"] + after["time"] + 0.25) / 2, place, opening, (before["yaw"] + after["yaw"]) / 2)
+        table["time"][i:] += 0.25
+        table = _inserted(table, i, between)
         drawn["detour"] = float(np.linalg.norm(aside))
-        table = np.insert(table, i, between, axis=0)
     # Stop at a place for 0.3 s.
     if rng.random() < 0.25:
         i = int(rng.integers(1, len(table)))
-        drawn["stop"] = float(table[i, _TIME])
-        table[i, _REST] = 1
-        table = np.insert(table, i, table[i], axis=0)
-        table[i + 1 :, _TIME] += 0.3
+        drawn["stop"] = float(table["time"][i])
+        table["rest"][i] = True
+        table = _inserted(table, i, Via(*table[i]))
+        table["time"][i + 1 :] += 0.3
     if rng.random() < 0.6:
-        drawn["elsewhere"] = _elsewhere(table, garment, target, rng)
+        drawn["elsewhere"] = _start_elsewhere(table, garment, target, rng)
     # Draw the pace, and the time of the release: as scripted, early, late, or never.
-    drawn["pace"] = min(float(0.7 * 2 ** rng.random()), (longest - 0.4) / float(table[-1, _TIME]))
-    table[:, _TIME] *= drawn["pace"]
-    last = float(table[-1, _TIME])
+    drawn["pace"] = min(float(0.7 * 2 ** rng.random()), (longest - 0.4) / float(table["time"][-1]))
+    table["time"] *= drawn["pace"]
+    last = float(table["time"][-1])
     releases = (last + 0.05, rng.uniform(0.35, 1) * last, last + rng.uniform(0.2, 0.7), longest)
     release = float(releases[int(rng.choice(4, p=(0.35, 0.3, 0.15, 0.2)))])
     end = min(longest, max(3.0, release + path.end - path.release))
     drawn["release"] = end if release == longest else min(release, longest - 0.25)
-    # Shrink the openings until the grippers do not tear the cloth, or are as near as in the script.
+    # Shrink the openings until the grippers do not tear the cloth (2 % longer is taut), or are as near as in the script.
     along_cloth = float(EdgeGraph(garment.vertices, garment.edges).distances(garment.grips)[0, 1])
-    most = max(_TAUT * along_cloth, path.widest)
+    most = max(1.02 * along_cloth, path.widest)
     while True:
-        changed = replace(path, vias=_vias(table), release=drawn["release"], end=end, drawn=drawn)
+        changed = GripperPath(table, path.spread, release=drawn["release"], end=end, drawn=drawn)
         if changed.widest <= most:
             return changed
-        table[1:, _OPENING] = table[1:, _OPENING] * 0.99 * most / changed.widest
+        table["opening"][1:] = table["opening"][1:] * 0.99 * most / changed.widest
 
 
-def from_elsewhere(path: GripperPath, garment: Garment, target: Target, rng: np.random.Generator) -> GripperPath:
-    """Return the script with another start at any yaw; unchanged when no free place is found."""
-    table = _table(path)
-    _elsewhere(table, garment, target, rng)
-    later = float(table[-1, _TIME]) - path.vias[-1].time
-    return replace(path, vias=_vias(table), release=path.release + later, end=path.end + later)
+def _inserted(table: Table, i: int, via: Via) -> Table:
+    """Return a table with a place before row i."""
+    return np.concatenate([table[:i], np.array([via], dtype=_ROW), table[i:]])
 
 
-def _table(path: GripperPath) -> Array:
-    """Return the places of a path as rows (k, 7): time, middle, opening, yaw, rest."""
-    rows = [[via.time, *np.asarray(via.place), via.opening, via.yaw, via.rest] for via in path.vias]
-    return np.array(rows, dtype=np.float64)
-
-
-def _vias(table: Array) -> list[Via]:
-    """Return the places of a path, given its table."""
-    return [Via(row[_TIME], row[_PLACE], row[_OPENING], bool(row[_REST]), row[_YAW]) for row in table]
-
-
-def _wander(start: Array, seat: Array, drop: float, rng: np.random.Generator) -> Array:
+def _wander(start: Any, seat: Array, drop: float, rng: np.random.Generator) -> Table:
     """Return a table of random places around the seat, high enough for the garment to clear the floor."""
     low = max(float(seat[2]) - 0.1, drop)
-    rows = [start]
+    vias = [Via(*start)]
     for _ in range(int(rng.integers(3, 6))):
+        before = vias[-1]
         place = np.array([*rng.uniform((-0.35, -0.5), (0.35, 0.15)), 0]) + [seat[0], seat[1], low + rng.uniform(0, 0.4)]
-        time = rows[-1][_TIME] + 0.3 + float(np.linalg.norm(place - rows[-1][_PLACE])) / rng.uniform(0.6, 1.2)
-        rows.append(np.array([time, *place, 1, rows[-1][_YAW] + rng.normal(0, 40), 0]))
-    return np.array(rows)
+        time = before.time + 0.3 + float(np.linalg.norm(place - before.place)) / rng.uniform(0.6, 1.2)
+        vias.append(Via(time, place, yaw=before.yaw + rng.normal(0, 40)))
+    return np.array(vias, dtype=_ROW)
 
 
-def _push(start: Array, seat: Array, drop: float, rng: np.random.Generator) -> Array:
+def _push(start: Any, seat: Array, drop: float, rng: np.random.Generator) -> Table:
     """Return a table of a straight path that pushes the cloth against the target; half of them come back again."""
     x, beyond, z = rng.uniform((-0.15, -0.05, 0.0), (0.15, 0.2, 0.25))
-    times = np.cumsum([start[_TIME] + 1.0, (beyond + 0.35) / rng.uniform(0.35, 0.8) + 0.2, 0.9])
+    times = np.cumsum([start["time"] + 1.0, (beyond + 0.35) / rng.uniform(0.35, 0.8) + 0.2, 0.9])
     ahead = (seat[1] - 0.35, seat[1] + beyond, seat[1] - 0.35)
-    rows = [[time, x, y, max(seat[2] + z, drop), 1, 0, 0] for time, y in zip(times, ahead, strict=True)]
-    return np.array([start, *rows[: rng.integers(2, 4)]])
+    vias = [Via(time, [x, y, max(seat[2] + z, drop)]) for time, y in zip(times, ahead, strict=True)]
+    return np.array([Via(*start), *vias[: rng.integers(2, 4)]], dtype=_ROW)
 
 
-def _elsewhere(table: Array, garment: Garment, target: Target, rng: np.random.Generator) -> float:
+def _start_elsewhere(table: Table, garment: Garment, target: Target, rng: np.random.Generator) -> float:
     """Change the start of a table to a free place before or beside the target, at any yaw.
 
-    Return the distance of the start from the target's seat, or 0 when no free place is found.
+    The cloth is then 5 cm or more above the floor, and 30 cm or more from the rods. Return the distance of the start from the
+    target's seat, or 0 when no free place is found.
     """
     cloth = garment.vertices - garment.vertices[garment.grips].mean(axis=0)
+    start = table[0]
+    after = table[1]
     for _ in range(30):
         yaw = float(rng.uniform(-180, 180))
         distance = float(rng.uniform(0.5, 1.0))
         place = target.seat + turned([0, -distance, 0], rng.uniform(-100, 100))
-        place[2] = table[0, _PLACE][2] + rng.uniform(-0.15, 0.15)
-        hanging = turned(cloth, yaw) + place
-        if hanging[:, 2].min() > _ABOVE and gap(hanging, target) > _CLEAR:
+        place[2] = start["place"][2] + rng.uniform(-0.15, 0.15)
+        cloth_there = turned(cloth, yaw) + place
+        if cloth_there[:, 2].min() > 0.05 and gap(cloth_there, target) > 0.3:
             # A start that is farther off or turned by more leaves more time for the way to the second place.
-            seconds = max(float(np.linalg.norm(place - table[1, _PLACE])), abs(yaw - table[1, _YAW]) / 120)
-            table[1:, _TIME] += max(0.0, seconds - table[1, _TIME] + table[0, _TIME])
-            table[0, _PLACE] = place
-            table[0, _YAW] = yaw
+            seconds = max(float(np.linalg.norm(place - after["place"])), abs(yaw - after["yaw"]) / 120)
+            table["time"][1:] += max(0.0, seconds - after["time"] + start["time"])
+            start["place"] = place
+            start["yaw"] = yaw
             return distance
     return 0.0

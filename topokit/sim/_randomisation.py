@@ -15,7 +15,6 @@ from ._camera import Camera
 from ._garments import Garment
 from ._world import SimulationConfig
 
-PURPOSES = ("path", "physics", "cameras", "noise", "sizes", "place", "script")  # new ones at the end: the others stay
 Bounds = tuple[float, float]
 
 
@@ -57,15 +56,9 @@ class Randomisation:
         seed : int
         purpose : str
             "path", "physics", "cameras", "noise", "sizes", "place" or "script".
-
-        Raises
-        ------
-        ValueError
-            When there is no such purpose.
         """
-        if purpose not in PURPOSES:
-            raise ValueError(f"there is no purpose {purpose!r}; there are {', '.join(PURPOSES)}")
-        return np.random.default_rng(np.random.SeedSequence(seed, spawn_key=(PURPOSES.index(purpose),)))
+        purposes = ("path", "physics", "cameras", "noise", "sizes", "place", "script")  # new ones at the end
+        return np.random.default_rng(np.random.SeedSequence(seed, spawn_key=(purposes.index(purpose),)))
 
     def draw(
         self, seed: int, config: SimulationConfig, garment: Garment, cameras: Sequence[Camera] = ()

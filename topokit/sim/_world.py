@@ -19,7 +19,6 @@ from numpy.typing import NDArray
 from pydantic import Field
 
 from topokit._config import Count, NotNegative, Positive, checked
-from topokit._processes import deferred_signals
 from topokit.sampling import farthest_point_sample
 
 from ._camera import Camera
@@ -78,34 +77,30 @@ class SimulationConfig:
         return self.stiffness * self.mass / (n_vertices * self.dt**2)
 
 
-def _pybullet() -> ModuleType:
-    """Return PyBullet, or raise ImportError with the command that installs it."""
-    try:
-        with _silent():
-            import pybullet
-    except ImportError as error:
-        raise ImportError("topokit.sim needs PyBullet: pip install 'topokit[sim]'") from error
-    return pybullet
-
-
 @contextlib.contextmanager
 def _silent() -> Iterator[None]:
     """Discard what is written to file descriptors 1 and 2: PyBullet prints its build and its arguments there."""
-    flush_c = ctypes.CDLL(None).fflush if os.name == "posix" else (lambda _: None)  # C keeps a buffer of its own
     sys.stdout.flush()
     sys.stderr.flush()
-    with deferred_signals():  # one of them would leave the output discarded
-        saved = [os.dup(1), os.dup(2)]
-        try:
-            with open(os.devnull, "wb") as nowhere:
-                os.dup2(nowhere.fileno(), 1)
-                os.dup2(nowhere.fileno(), 2)
-                yield
-        finally:
-            flush_c(None)
-            for descriptor, copy in zip((1, 2), saved, strict=True):
-                os.dup2(copy, descriptor)
-                os.close(copy)
+    saved = [os.dup(1), os.dup(2)]
+    try:
+        with open(os.devnull, "wb") as nowhere:
+            os.dup2(nowhere.fileno(), 1)
+            os.dup2(nowhere.fileno(), 2)
+            yield
+    finally:
+        if os.name == "posix":
+            ctypes.CDLL(None).fflush(None)  # C keeps a buffer of its own
+        for descriptor, copy in zip((1, 2), saved, strict=True):
+            os.dup2(copy, descriptor)
+            os.close(copy)
+
+
+def _pybullet() -> ModuleType:
+    """Return PyBullet, which is imported by the first world only."""
+    with _silent():
+        import pybullet
+    return pybullet
 
 
 class World(contextlib.AbstractContextManager["World"]):
@@ -121,33 +116,28 @@ class World(contextlib.AbstractContextManager["World"]):
 
     def __init__(self, garment: Garment, offset: Array, config: SimulationConfig) -> None:
         self._p = _pybullet()
+        self._garment = garment
         self._config = config
         self._goals: list[list[float]] | None = None
-        self._push = [0.0, 0.0]
-        self._rods: list[tuple[int, Array, list[float]]] = []  # body, middle and orientation of each
         with _silent():
             self._client = self._p.connect(self._p.DIRECT)
         # PyBullet ends the process when about a thousand clients are left open: a world that is dropped is closed, too.
         self._disconnect = weakref.finalize(self, self._p.disconnect, self._client)
-        try:
-            self._bullet("resetSimulation", self._p.RESET_USE_DEFORMABLE_WORLD)
-            self._bullet("setGravity", 0, 0, -config.GRAVITY)
-            self._bullet("setPhysicsEngineParameter", fixedTimeStep=config.dt)
-            self._cloth = self._load(garment, offset)
-            # Grippers without a shape: a kinematic or a fixed anchor body can make the cloth explode, these do not.
-            self._grippers: list[int] = []
-            self._anchors: list[int] = []
-            for vertex in garment.grips.tolist():
-                place = (garment.vertices[vertex] + offset).tolist()
-                self._grippers.append(self._bullet("createMultiBody", config.gripper_mass, -1, -1, basePosition=place))
-            for vertex, gripper in zip(garment.grips.tolist(), self._grippers, strict=True):
-                self._anchors.append(self._bullet("createSoftBodyAnchor", self._cloth, vertex, gripper, -1))
-            # The floor is a thick slab with its top at z = 0: cloth would rest 10 cm above PyBullet's endless plane.
-            slab = self._bullet("createCollisionShape", self._p.GEOM_BOX, halfExtents=[4, 4, 0.5])
-            self._add_fixed(slab, basePosition=[0, 0, -0.5])
-        except BaseException:
-            self.close()
-            raise
+        self._bullet("resetSimulation", self._p.RESET_USE_DEFORMABLE_WORLD)
+        self._bullet("setGravity", 0, 0, -config.GRAVITY)
+        self._bullet("setPhysicsEngineParameter", fixedTimeStep=config.dt)
+        self._cloth = self._load(offset)
+        # Grippers without a shape: a kinematic or a fixed anchor body can make the cloth explode, these do not.
+        self._grippers: list[int] = []
+        self._anchors: list[int] = []
+        for vertex in garment.grips.tolist():
+            place = (garment.vertices[vertex] + offset).tolist()
+            self._grippers.append(self._bullet("createMultiBody", config.gripper_mass, -1, -1, basePosition=place))
+        for vertex, gripper in zip(garment.grips.tolist(), self._grippers, strict=True):
+            self._anchors.append(self._bullet("createSoftBodyAnchor", self._cloth, vertex, gripper, -1))
+        # The floor is a thick slab with its top at z = 0: cloth would rest 10 cm above PyBullet's endless plane.
+        slab = self._bullet("createCollisionShape", self._p.GEOM_BOX, halfExtents=[4, 4, 0.5])
+        self._add_fixed(slab, basePosition=[0, 0, -0.5])
 
     def __exit__(self, *_: object) -> None:
         self.close()
@@ -155,43 +145,32 @@ class World(contextlib.AbstractContextManager["World"]):
     def close(self) -> None:
         """End the simulation and give its memory back."""
         self._disconnect()
-        self._client = -1
 
     def add_rods(self, rods: Sequence[tuple[Array, Array, float]]) -> None:
         """Add fixed capsules, each (start, end, radius)."""
         for start, end, radius in rods:
             axis = end - start
-            middle = (start + end) / 2
             length = float(np.linalg.norm(axis))
             shape = self._bullet("createCollisionShape", self._p.GEOM_CAPSULE, radius=radius, height=length)
-            turn = _turn_z_to(axis / length)
-            body = self._add_fixed(shape, basePosition=middle.tolist(), baseOrientation=turn)
-            self._rods.append((body, middle, turn))
+            place = ((start + end) / 2).tolist()
+            self._add_fixed(shape, basePosition=place, baseOrientation=_turn_z_to(axis / length))
 
-    def move_rods(self, by: Array) -> None:
-        """Put the rods at offsets (R, 3) in metres from the places where they were added, without turning them."""
-        for (body, middle, turn), shift in zip(self._rods, by, strict=True):
-            self._p.resetBasePositionAndOrientation(body, (middle + shift).tolist(), turn, self._client)
+    def settle(self, goals: Array) -> None:
+        """Let the garment come to rest between the grippers at their goals (2, 3); raise SimulationError when it explodes."""
+        for step in range(round(self._config.settle / self._config.dt)):
+            # A step of self-collision in exploded cloth can take minutes.
+            if step % 5 == 0 and step:
+                check_stretch(self._garment, self._config, self.vertices(), "settling")
+            self.step(goals)
 
-    def _add_fixed(self, shape: int, **place: list[float]) -> int:
-        """Add a body that does not move, and return its id."""
-        body: int = self._bullet("createMultiBody", 0, shape, -1, **place)
-        self._bullet("changeDynamics", body, -1, lateralFriction=self._config.friction)
-        return body
-
-    def step(self, targets: Array | None) -> None:
-        """Advance one step of `dt`, with the grippers drawn to `targets` (2, 3); None when they have let go."""
-        if targets is not None:
-            goals: list[list[float]] = targets.tolist()
-            for body, goal, before in zip(self._grippers, goals, self._goals or goals, strict=True):
+    def step(self, goals: Array | None) -> None:
+        """Advance one step of `dt`, with the grippers drawn to their goals (2, 3); None when they have let go."""
+        if goals is not None:
+            now: list[list[float]] = goals.tolist()
+            for body, goal, before in zip(self._grippers, now, self._goals or now, strict=True):
                 self._draw(body, goal, before)
-            self._goals = goals
+            self._goals = now
         self._p.stepSimulation(self._client)
-
-    def push(self, acceleration: Array) -> None:
-        """Accelerate the cloth by (x, y) m/s^2 from now on; the grippers feel it through the cloth alone."""
-        x, y = self._push = acceleration.tolist()
-        self._bullet("setGravity", x, y, -self._config.GRAVITY)
 
     def release(self, keep: int = 0) -> None:
         """Let go of the garment with all but the first `keep` grippers; grippers have no shape that could touch it afterwards."""
@@ -222,7 +201,8 @@ class World(contextlib.AbstractContextManager["World"]):
     def observe(self, cameras: Sequence[Camera], n: int, rng: np.random.Generator) -> Array:
         """Return `n` points (n, 3) of the cloth in the cameras' images: a farthest-point sample of all their pixels.
 
-        When fewer than `n` points are visible, they are repeated in order; `topokit.track` counts points at one place once.
+        When fewer than `n` points are visible, they are repeated in order; `topokit.track` counts points at one place once. When
+        no cloth is in view, there are none: (0, 3).
 
         Parameters
         ----------
@@ -231,35 +211,12 @@ class World(contextlib.AbstractContextManager["World"]):
         n : int
         rng : numpy.random.Generator
             Generator of the noise, for cameras with noise only.
-
-        Raises
-        ------
-        ValueError
-            When there is no camera, `n` is not positive, or no cloth is in view.
-        """
-        if not cameras:
-            raise ValueError("observe needs at least one camera")
-        if n < 1:
-            raise ValueError(f"n must be 1 or more, not {n}")
-        points = self.seen(cameras, n, rng)
-        if not len(points):
-            places = ", ".join(str(camera.eye) for camera in cameras)
-            raise ValueError(f"no cloth is in view of the cameras at {places}; move them or widen their fov")
-        return points
-
-    def seen(self, cameras: Sequence[Camera], n: int, rng: np.random.Generator) -> Array:
-        """Return what `observe` returns, or an array (0, 3) when no cloth is in view.
-
-        Parameters
-        ----------
-        cameras, n, rng
-            The parameters of `observe`.
         """
         views = []
         for camera in cameras:
             depth, mask = self.image(camera)
-            if camera.noise is not None:
-                depth, mask = camera.noise.add_to(depth, mask, rng)
+            if camera.noise:
+                depth, mask = camera.add_noise(depth, mask, rng)
             views.append(camera.unproject(depth, mask))
         points = np.concatenate(views)
         if not len(points):
@@ -271,9 +228,16 @@ class World(contextlib.AbstractContextManager["World"]):
         """Call a function of PyBullet for this client."""
         return getattr(self._p, function)(*arguments, **options, physicsClientId=self._client)
 
-    def _load(self, garment: Garment, offset: Array) -> int:
+    def _add_fixed(self, shape: int, **place: list[float]) -> None:
+        """Add a body that does not move."""
+        body: int = self._bullet("createMultiBody", 0, shape, -1, **place)
+        self._bullet("changeDynamics", body, -1, lateralFriction=self._config.friction)
+
+    def _load(self, offset: Array) -> int:
         """Load the garment through a temporary OBJ file, because PyBullet reads meshes from files only."""
-        stiffness = self._config.elastic_stiffness(len(garment.vertices))
+        garment = self._garment
+        config = self._config
+        stiffness = config.elastic_stiffness(len(garment.vertices))
         with tempfile.TemporaryDirectory() as folder:
             path = Path(folder) / "cloth.obj"
             rows = [f"v {x!r} {y!r} {z!r}" for x, y, z in garment.vertices.tolist()]
@@ -283,35 +247,34 @@ class World(contextlib.AbstractContextManager["World"]):
                 "loadSoftBody",
                 str(path),
                 basePosition=offset.tolist(),
-                mass=self._config.mass,
+                mass=config.mass,
                 useMassSpring=1,
                 useBendingSprings=1,
                 useNeoHookean=0,
                 springElasticStiffness=stiffness,
-                springBendingStiffness=self._config.bending * stiffness,
-                springDampingStiffness=self._config.damping,
+                springBendingStiffness=config.bending * stiffness,
+                springDampingStiffness=config.damping,
                 springDampingAllDirections=1,
-                frictionCoeff=self._config.friction,
+                frictionCoeff=config.friction,
                 useFaceContact=1,
-                useSelfCollision=int(self._config.self_collision),
-                collisionMargin=self._config.margin * float(garment.edge_lengths.min()),
+                useSelfCollision=int(config.self_collision),
+                collisionMargin=config.margin * float(garment.edge_lengths.min()),
             )
 
     def _draw(self, body: int, goal: list[float], before: list[float]) -> None:
         """Push a gripper towards its goal, which was at `before` a step ago; plain floats are far quicker than arrays."""
         config = self._config
-        client = self._client
         kp = config.kp
         kd = config.kd
         dt = config.dt
-        place, _ = self._p.getBasePositionAndOrientation(body, client)
-        (u, v, w), _ = self._p.getBaseVelocity(body, client)
+        place, _ = self._p.getBasePositionAndOrientation(body, self._client)
+        (u, v, w), _ = self._p.getBaseVelocity(body, self._client)
         # The weight of the cloth is fed forward, or the gripper sags.
         holding = self._grippers[: len(self._anchors)]
         carried = config.mass / len(holding) if body in holding else 0.0
-        # A spring and a damper towards the goal, without the push that cloth alone feels, and with the weight.
-        x = kp * (goal[0] - place[0]) + kd * ((goal[0] - before[0]) / dt - u) - self._push[0] * config.gripper_mass
-        y = kp * (goal[1] - place[1]) + kd * ((goal[1] - before[1]) / dt - v) - self._push[1] * config.gripper_mass
+        # A spring and a damper towards the goal, and the weight.
+        x = kp * (goal[0] - place[0]) + kd * ((goal[0] - before[0]) / dt - u)
+        y = kp * (goal[1] - place[1]) + kd * ((goal[1] - before[1]) / dt - v)
         z = kp * (goal[2] - place[2]) + kd * ((goal[2] - before[2]) / dt - w)
         z += config.GRAVITY * (config.gripper_mass + carried)
         # The force is limited.
@@ -321,25 +284,22 @@ class World(contextlib.AbstractContextManager["World"]):
             x *= share
             y *= share
             z *= share
-        self._p.applyExternalForce(body, -1, (x, y, z), place, self._p.WORLD_FRAME, client)
+        self._p.applyExternalForce(body, -1, (x, y, z), place, self._p.WORLD_FRAME, self._client)
 
 
 def check_stretch(garment: Garment, config: SimulationConfig, points: Array, where: str) -> tuple[float, float]:
     """Return the 99th percentile and the maximum of edge length over rest length, or raise SimulationError."""
-    lost = ~np.isfinite(points).all(axis=1)
-    if lost.any():
-        vertex = int(np.argmax(lost))
-        raise SimulationError(f"{where}: vertex {vertex} is at {points[vertex]}: the cloth exploded")
-    edges = garment.edges
-    stretch = edge_lengths(points, edges) / garment.edge_lengths
+    if not np.isfinite(points).all():
+        raise SimulationError(f"{where}: the cloth exploded")
+    stretch = edge_lengths(points, garment.edges) / garment.edge_lengths
     most = float(np.percentile(stretch, 99))
     worst = float(stretch.max())
-    edge = f"most of all {edges[np.argmax(stretch)].tolist()}, {worst:.2f} times its length"
-    limits = (("max_stretch", "one edge in a hundred is", most), ("max_edge_stretch", "an edge is", worst))
-    for name, what, value in limits:
-        if value > getattr(config, name):
-            limit = f"{name} is {getattr(config, name):g}"
-            raise SimulationError(f"{where}: {what} stretched beyond the limit ({limit}), {edge}")
+    if most > config.max_stretch:
+        limit = f"max_stretch {config.max_stretch:g}"
+        raise SimulationError(f"{where}: one edge in a hundred is stretched {most:.2f} times, beyond {limit}")
+    if worst > config.max_edge_stretch:
+        limit = f"max_edge_stretch {config.max_edge_stretch:g}"
+        raise SimulationError(f"{where}: an edge is stretched {worst:.2f} times, beyond {limit}")
     return most, worst
 
 
