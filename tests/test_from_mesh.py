@@ -21,7 +21,7 @@ from strangers import strangers
 
 import topokit as tk
 from topokit.evaluate import summarise_tracks, true_loops
-from topokit.sim import TASKS, WARDROBE, Garment, Hook, Mannequin, SimulationConfig, World, task_for
+from topokit.sim import TASKS, WARDROBE, Garment, Hook, Mannequin, SimulationConfig, Task, World
 
 APRON = WARDROBE["apron"](spacing=0.05, strap_width=0.05)
 TOTE = WARDROBE["tote"](handles=2, spacing=0.04)
@@ -634,10 +634,10 @@ def test_a_dressed_shirt_is_judged_by_names_and_not_by_the_order_of_its_borders(
     loaded = Garment.from_mesh(Mesh(WARDROBE[name]()).obj(tmp_path / "my_top.obj"), loops="borders")
     assert loaded.loop_names[0] == "hem"
     worn = loaded.vertices + [0, dummy.distance, dummy.shoulder_height + 0.05]
-    for task in (TASKS[f"{name}-mannequin"], task_for(loaded, dummy)):
-        assert task.needed(loaded.named_loops) == 2
-        assert task.hangs(worn, loaded.named_loops)
-        assert not task.hangs(worn - [0, 0.5, 0], loaded.named_loops)  # before the mannequin
+    task = TASKS[f"{name}-mannequin"]
+    assert task.needed(loaded.named_loops) == 2
+    assert task.succeeds(worn, loaded.named_loops)
+    assert not task.succeeds(worn - [0, 0.5, 0], loaded.named_loops)  # before the mannequin
 
 
 def test_a_bag_whose_rim_is_the_longest_border_hangs_by_its_handles(tmp_path):
@@ -645,11 +645,11 @@ def test_a_bag_whose_rim_is_the_longest_border_hangs_by_its_handles(tmp_path):
     bag = Garment.from_mesh(Mesh(WARDROBE["tote"](handles=2)).obj(tmp_path / "bag.obj"), loops="borders")
     assert bag.loop_names[0] == "edge"
     over = hook.seat - bag.vertices[bag.loops[1]].mean(axis=0)
-    for task in (TASKS["tote2-hook"], task_for(bag, hook)):
-        assert task.hangs(bag.vertices + over, bag.named_loops)
+    for task in (TASKS["tote2-hook"], Task.of(bag, hook, ("handle 1", "handle 2"))):
+        assert task.succeeds(bag.vertices + over, bag.named_loops)
         moved = bag.vertices + over - [0, 0.12, 0]  # one handle beyond the tip
-        assert task.hangs(moved, bag.named_loops) == (task.name != "tote2-hook")
-        assert not task.hangs(bag.vertices + over + [0.6, 0, 0], bag.named_loops)
+        assert task.succeeds(moved, bag.named_loops) == (task.name != "tote2-hook")
+        assert not task.succeeds(bag.vertices + over + [0.6, 0, 0], bag.named_loops)
 
 
 def test_loops_may_be_given_by_name(tmp_path):

@@ -78,13 +78,6 @@ def test_a_score_counts_what_a_generator_yields():
     assert score(overlap for _ in range(3)).objects == 3
 
 
-def test_a_controller_that_was_not_reset_says_so():
-    control = pytest.importorskip("topokit.control")
-    for servo in (control.Servo(), control.StrapController()):
-        with pytest.raises(RuntimeError, match="reset"):
-            servo.act({})
-
-
 def test_a_controller_keeps_no_buffer_of_its_caller(episode_path):
     control = pytest.importorskip("topokit.control")
     film = load_episode(episode_path)

@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import dataclasses
 import itertools
-import logging
 import subprocess
 import sys
 
@@ -21,18 +20,15 @@ from topokit.sim import (
     WARDROBE,
     Camera,
     Cloth,
-    DepthNoise,
     Garment,
     Hanger,
     Hook,
     Mannequin,
-    Placed,
     Randomisation,
     SimulationConfig,
     SimulationError,
     World,
     simulate,
-    task_for,
 )
 
 APRON = WARDROBE["apron"](spacing=0.05, strap_width=0.05)
@@ -53,17 +49,8 @@ def test_bad_configurations_are_named(option, value):
 @pytest.mark.parametrize(
     ("options", "named"),
     [
-        ({"n_observed": 5000}, "n_observed"),
-        ({"cameras": Camera.around(n=2), "n_observed": 10**9}, "n_observed .* 32768"),
-        ({"config": SimulationConfig(frames=10**9)}, "1,000,000,000 frames"),
-        ({"config": SimulationConfig(frames=400_000, steps_per_frame=1)}, "400,000 frames"),
-        ({"config": SimulationConfig(steps_per_frame=10**9)}, "frames"),
-        ({"config": SimulationConfig(dt=1e-300)}, "frames"),
-        ({"time_limit": 0}, "time_limit"),
         ({"task": "apron-moon"}, "apron-moon"),
         ({"garment": WARDROBE["tote"](spacing=0.05), "task": "shirt-mannequin"}, "neck, hem; the tote has handle"),
-        ({"garment": "bag.obj"}, "from_mesh"),
-        ({"garment": 3}, "int"),
         ({"config": SHORT, "cameras": (Camera(eye=(0, 5, 1), target=(0, 9, 1)),)}, "no cloth is in view"),
     ],
 )
@@ -115,7 +102,7 @@ def test_an_episode_is_the_same_in_every_fresh_process_and_in_ours(tmp_path):
 
 
 def test_an_episode_records_what_was_drawn(tmp_path):
-    cameras = (Camera(eye=(0, -1.5, 1.3), target=(0, 0, 1.1), noise=DepthNoise()),)
+    cameras = (Camera(eye=(0, -1.5, 1.3), target=(0, 0, 1.1), noise=1.0),)
     options = {"config": SHORT, "randomisation": Randomisation(), "cameras": cameras, "n_observed": 300}
     one, two, other = (simulate(APRON, Hanger(height=1.25), seed=seed, **options) for seed in (5, 5, 6))
     paths = [save_episode(tmp_path / name, episode) for name, episode in (("1.npz", one), ("2.npz", two))]
@@ -127,7 +114,7 @@ def test_an_episode_records_what_was_drawn(tmp_path):
     drawn = episode.physics["randomisation"]["drawn"]
     assert episode.physics["config"]["mass"] == drawn["mass"] != 0.3
     assert episode.observation["cameras"][0]["eye"] == drawn["camera_eyes"][0]
-    assert episode.observation["cameras"][0]["noise"] == dataclasses.asdict(DepthNoise())
+    assert episode.observation["cameras"][0]["noise"] == 1.0
     assert np.abs(other.actions - one.actions).max() > 0.01
 
 
@@ -138,7 +125,7 @@ def test_scripted_paths_succeed(name):
     episode = simulate(task.garment(**sizes[name.split("-")[0]]), task=task, seed=2, n_observed=50)
     assert episode.success
     assert len(episode) >= 76
-    assert not task.hangs(episode.points[0], episode.named_loops)
+    assert not task.succeeds(episode.points[0], episode.named_loops)
     loop = episode.points[-1][episode.loops[0]]
     assert task.target.holds(loop)
     still = np.linalg.norm(episode.points[-1] - episode.points[-4], axis=1)
@@ -161,11 +148,11 @@ def test_what_falls_lies_on_the_floor_and_does_not_hang():
             world.step(None)
         points = world.vertices()
     assert -0.01 < points[:, 2].min() < 0.03
-    assert not TASKS["sheet-hook"].hangs(points, garment.named_loops)
+    assert not TASKS["sheet-hook"].succeeds(points, garment.named_loops)
 
 
 def test_an_episode_elsewhere_is_the_same_moved():
-    place = Placed(Hook(), x=0.4, y=-0.3, yaw=130.0)
+    place = Hook(place=(0.4, -0.3, 0.0), yaw=130.0)
     tote = WARDROBE["tote"](spacing=0.05)
     options = {"task": "tote-hook", "seed": 3, "config": SHORT, "n_observed": 30}
     here, there = simulate(tote, **options), simulate(tote, place, **options)
@@ -176,36 +163,12 @@ def test_an_episode_elsewhere_is_the_same_moved():
     end = here.points[-1] + Hook().seat + [0, 0, 0.05] - here.points[-1][tote.loops[0]].mean(axis=0)
     elsewhere = turned(end, 130.0) + [0.4, -0.3, 0]
     task = TASKS["tote-hook"]
-    assert task.hangs(end, tote.named_loops)
-    assert task.hangs(elsewhere, tote.named_loops, place)
-    assert not task.hangs(end, tote.named_loops, place)
-
-
-@dataclasses.dataclass(frozen=True)
-class Drifting(Placed):
-    """A target that goes 12 cm along x from 2.9 s on, in a second."""
-
-    def at(self, time: float) -> Placed:
-        return Placed(self.target, x=0.12 * float(np.clip(time - 2.9, 0, 1)))
-
-
-def test_a_target_that_moves_takes_what_hangs_on_it_along():
-    config = SimulationConfig(dt=0.002, steps_per_frame=18, frames=118, settle=0.3, self_collision=False)
-    episode = simulate(
-        WARDROBE["sheet"](spacing=0.05), Drifting(Hook()), task="sheet-hook", seed=3, config=config, time_limit=None
-    )
-    assert episode.held[60]
-    assert not episode.held[-1]
-    middle = episode.points.mean(axis=1)
-    assert middle[-1, 0] - middle[int(2.9 / episode.dt), 0] > 0.05
-    assert Placed(Hook(), x=0.12).holds(episode.points[-1][episode.loops[0]])
+    assert task.succeeds(end, tote.named_loops)
+    assert task.succeeds(elsewhere, tote.named_loops, place)
+    assert not task.succeeds(end, tote.named_loops, place)
 
 
 def test_tasks_and_loops_of_ones_own(tmp_path):
-    square = Garment("patch", np.eye(3) * 0.1, np.array([[0, 1, 2]]), (), np.array([0, 1]))
-    task = task_for(square, Mannequin())
-    assert not task.hangs(square.vertices, square.named_loops)
-    assert simulate(square, task=task, config=SHORT, n_observed=3).garment == "patch"
     mine = dataclasses.replace(APRON, name="mine", loop_names=("strap",), parameters={"scale": 1.0})
     episode = load_episode(save_episode(tmp_path / "e.npz", simulate(mine, Hook(), config=SHORT, n_observed=50)))
     assert list(episode.named_loops) == ["strap"]
@@ -220,14 +183,6 @@ def test_tasks_and_loops_of_ones_own(tmp_path):
 def test_a_small_garment_is_observed_whole_by_default():
     episode = simulate(WARDROBE["mask"](spacing=0.018), config=SHORT)
     assert episode.observed.shape == episode.points.shape
-
-
-def test_a_garment_longer_than_its_target_is_high_is_warned_of(caplog):
-    with caplog.at_level(logging.WARNING, logger="topokit.sim"):
-        simulate(APRON, Hook(), config=SHORT, n_observed=50)
-        assert not caplog.records
-        simulate(APRON, Hook(height=0.9), config=SHORT, n_observed=50)
-    assert "0.90 m high" in caplog.text
 
 
 # Kinds of cloth.

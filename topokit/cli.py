@@ -99,7 +99,7 @@ def _parser() -> ArgumentParser:
     add("--out", type=_name(".npz"), metavar="FILE", help="write the run as an episode (.npz)")
     add("--film", type=_name(".html"), metavar="FILE", help="write a film of it (.html)")
     add("--model", help="plan by a forecast: carry, or the checkpoint of a motion model (default: a servo without one)")
-    add("--anywhere", action="store_true", help="draw target and start anywhere in the room, at any yaw")
+    add("--anywhere", action="store_true", help="put the target anywhere in the room, at any yaw")
     _add_scene(add, "tote-hook")
 
     add = command(generate)
@@ -281,29 +281,28 @@ def simulate(
     The exit code is 1 when it does not hang.
     """
     from .io import save_episode
-    from .sim import Randomisation, explain, task_for
+    from .sim import Randomisation
     from .sim import simulate as run_simulation
 
     scene = _scene("apron-hook", task, mesh, size=size, up=up)
     randomisation = Randomisation() if randomise else None
     episode = run_simulation(**scene, randomisation=randomisation, progress=True, **options)
     save_episode(out, episode)
-    of = scene.get("task") or task_for(scene["garment"], scene["target"])
     return {
         "out": str(out),
         "task": episode.task,
         "frames": len(episode),
         "vertices": episode.points.shape[1],
         "success": episode.success,
-        "reason": explain(episode, of) or "it hangs",
+        "reason": scene["task"].explain(episode) or "it hangs",
     }
 
 
 def _scene(default: str, task: str | None, mesh: Path | None, **reading: Any) -> dict[str, Any]:
-    """Return the task, or the garment of a mesh and its target, as parameters of `simulate` and `hang`."""
-    from .sim import TASKS, Garment, Hanger, Hook, Mannequin
+    """Return the task as a parameter of `simulate` and `hang`; a mesh may hang by any of its loops."""
+    from .sim import TASKS, Garment, Hanger, Hook, Task
 
-    targets: dict[str, Any] = {kind.name: kind for kind in (Hook, Hanger, Mannequin)}
+    targets: dict[str, Any] = {kind.name: kind for kind in (Hook, Hanger)}
     name = task or (default if mesh is None else "hook")
     known = TASKS if mesh is None else targets
     if name not in known:
@@ -311,7 +310,7 @@ def _scene(default: str, task: str | None, mesh: Path | None, **reading: Any) ->
     if mesh is None:
         return {"task": TASKS[name]}
     garment = Garment.from_mesh(mesh, loops="auto", **reading).evened()
-    return {"garment": garment, "target": targets[name]().raised_for(garment)}
+    return {"task": Task.of(garment, targets[name](), garment.loop_names)}
 
 
 def hang(
@@ -334,7 +333,7 @@ def hang(
 
     scene = _scene("tote-hook", task, mesh, size=size, up=up)
     if anywhere:
-        scene |= {"place": "anywhere", "start": "anywhere"}
+        scene["place"] = "anywhere"
     result = run_hanging(**scene, progress=True, **options)
     if out is not None:
         save_episode(out, result.episode)

@@ -25,40 +25,42 @@ from typing import Any
 
 import gymnasium
 import numpy as np
+from disturbances import Faults, Pushed, Release
 from scipy.stats import binomtest
 from tqdm import tqdm
 
+from chapter_tools.dressing import PullOver
+from chapter_tools.throwing import Fence, Thrower
 from topokit._archive import atomic_file
-from topokit.control import Carried, Controller, Hanging, Planner, ThrowController, hang
+from topokit.control import Planner, hang
 from topokit.io import Episode, save_episode
 from topokit.linking import close_far, linking_number
+from topokit.models import Predictor
 from topokit.sim import TASKS as KNOWN
-from topokit.sim import Camera, HangEnv, SimulationConfig, Task
+from topokit.sim import Camera, SimulationConfig, Task
 
 GARMENTS = ("apron", "apron2", "tote", "tote2", "backpack", "mask", "sheet")
 TASKS = [*(f"{garment}-{target}" for target in ("hook", "hanger") for garment in GARMENTS)]
-TASKS += [f"{garment}-mannequin" for garment in ("apron", "backpack", "shirt", "vest")]
+TASKS += [f"{garment}-mannequin" for garment in ("shirt", "vest")]
 WHO = ("random", "straight", "servo", "hold", "rigid", "carry", "motion", "script", "ppo", "oracle")
 MOTION = Path(__file__).parents[2] / "data_small" / "checkpoints" / "motion.safetensors"
 CAMERA = Camera((-1.3, -1.6, 1.6), (0.0, 0.3, 1.1), width=160, height=120)
-FAST = {"pace": 1.0}
 TRIES = 8
+# Options of the environment, of the wrappers in `disturbed`, and of `hang` (pace and cloud_delay).
 SCENES: dict[str, dict[str, Any]] = {
     "still": {},
     "all vertices": {"n_points": 10_000},
     "128 points": {"n_points": 128},
     "one camera": {"cameras": [CAMERA]},
-    "noise": {"noise": 0.003, "dropout": 0.1, "outliers": 0.02},
-    "target moves": {"target_shift": 0.15},
+    "noise": {"faults": {"noise": 0.003, "keep": 0.9, "outliers": 0.02}},
     "shove": {"shove": 1.0},
-    "let go at 1.2 s": {"release_after": 1.2, **FAST},
-    "swings, let go at 1.2 s": {"swing": 2.0, "release_after": 1.2, **FAST},
-    "target travels at 0.3 m/s": {"target_speed": 0.3},
+    "let go at 1.2 s": {"release": 1.2, "pace": 1.0},
+    "swings, let go at 1.2 s": {"swing": 2.0, "release": 1.2, "pace": 1.0},
     "one gripper": {"n_grippers": 1},
-    "late by 200 ms": {"cloud_delay": 6},
+    "late by 200 ms": {"faults": {"delay": 6}, "cloud_delay": 6},
     "out of reach by 15 cm": {"fence": 0.15},
     "out of reach by 25 cm": {"fence": 0.25},
-    "10 clouds a second": {"cloud_interval": 3},
+    "10 clouds a second": {"faults": {"interval": 3}},
     "other cloth": {"config": SimulationConfig(self_collision=False, mass=0.6, friction=0.3, bending=0.01)},
 }
 
@@ -73,17 +75,19 @@ class Hold:
         """Do nothing: there is nothing to take in."""
 
     def move(self, actions: Any, held: Any, points: Any) -> tuple[Any, None]:
+        """Return the points as they are, at all frames of all plans."""
         return np.broadcast_to(np.asarray(points), (*np.shape(actions)[:2], *np.shape(points))), None
 
 
-class Rigid(ThrowController):
+class Rigid(Thrower):
     """A planner that throws as if nothing flew: what is let go stays where it was."""
 
-    def _flight(self, held: Any, lasts: Any) -> Any:
+    def flight(self, held: Any, lasts: Any) -> Any:
+        """Return the places at the release, at all frames of the flight."""
         return np.repeat(held[np.arange(len(held)), lasts - 1][:, None], 4, axis=1)
 
 
-class Random(Controller):
+class Random:
     """A controller by chance: it draws a way for every half second, and lets go at some time."""
 
     def reset(self, observation: Mapping[str, Any]) -> None:
@@ -98,7 +102,7 @@ class Random(Controller):
         return np.append(self._move, float(self._random.random() < 1 / 60)).astype(np.float32)
 
 
-class Straight(Controller):
+class Straight:
     """A controller without loops: it moves the middle of the cloud to the middle of the arm, and lets go there."""
 
     def reset(self, observation: Mapping[str, Any]) -> None:
@@ -114,7 +118,7 @@ class Straight(Controller):
         return np.append(np.tile(move, 2), float(arrived)).astype(np.float32)
 
 
-class Learned(Controller):
+class Learned:
     """An agent of Stable-Baselines3 as it comes: PPO, rewarded by linking numbers, for so many steps on seeds below 1000."""
 
     def __init__(self, task: str, steps: int) -> None:
@@ -150,68 +154,94 @@ def agent(task: str, steps: int) -> Any:
         env.close()
 
 
-def run(task: str, who: str, scene: str, seed: int, steps: int = 0) -> Hanging:
-    options = {"place": "anywhere", **SCENES[scene]}
+def disturbed(task: str, options: dict[str, Any]) -> Any:
+    """Return the environment of a task with the disturbances of a scene."""
+    options = dict(options)
+    faults = options.pop("faults", None)
+    release = options.pop("release", None)
+    fence = options.pop("fence", None)
+    env: Any = Pushed(task, place="anywhere", max_steps=300, **options)
+    if faults is not None:
+        env = Faults(env, **faults)
+    if release is not None:
+        env = Release(env, release)
+    if fence is not None:
+        env = Fence(env, fence)
+    return env
+
+
+def run(task: str, who: str, scene: str, seed: int, steps: int = 0) -> Any:
+    """Return the outcome of a controller in a scene, from the start of a seed."""
+    options = dict(SCENES[scene])
+    how = {"pace": options.pop("pace", 0.6), "cloud_delay": options.pop("cloud_delay", 0)}
     if "n_points" in options:
         options["n_points"] = min(options["n_points"], len(KNOWN[task].garment().vertices))
-    if who == "script":
-        return scripted(task, seed, {name: value for name, value in options.items() if name != "pace"})
-    own = {"straight": {"controller": Straight()}, "random": {"controller": Random()}, "servo": {}}
-    if who == "rigid":
-        how = {"radius": KNOWN[task].target.rods[0][2], "fence": options["fence"], "seed": seed}
-        goal = KNOWN[task].needed(KNOWN[task].garment().named_loops)
-        return hang(task, seed=seed, controller=Rigid(Carried(), goal, **how), **options)
     if who == "oracle":
-        return foreseen(task, seed, options)
+        return foreseen(task, seed, options, how)
+    env = disturbed(task, options)
+    if who == "script":
+        return scripted(env, task, seed, options)
+    known = {"straight": Straight(), "random": Random()}
+    if who in known:
+        return hang(env, seed=seed, controller=known[who])
     if who == "ppo":
-        return hang(task, seed=seed, controller=Learned(task, steps), **options)
+        return hang(env, seed=seed, controller=Learned(task, steps))
+    if task.endswith("-mannequin"):
+        return hang(env, seed=seed, controller=PullOver(max_step=env.unwrapped.max_step))
+    if "fence" in options and who != "servo":
+        kind = Rigid if who == "rigid" else Thrower
+        forecast = Predictor.load(MOTION) if who == "motion" else None
+        throw = kind(forecast, needed(task), fence=options["fence"], seed=seed, radius=radius(task))
+        return hang(env, seed=seed, controller=throw)
     model = {"carry": "carry", "motion": MOTION, "hold": Hold()}.get(who)
-    return hang(task, seed=seed, **own.get(who, {"model": model}), **options)
+    return hang(env, seed=seed, model=model, **how)
 
 
-def foreseen(task: str, seed: int, options: dict[str, Any]) -> Hanging:
+def needed(task: str) -> int:
+    """Return the number of loops that must hang."""
+    return KNOWN[task].needed(KNOWN[task].garment().named_loops)
+
+
+def radius(task: str) -> float:
+    """Return the radius of the target's rods."""
+    return KNOWN[task].target.rods[0][2]
+
+
+def foreseen(task: str, seed: int, options: dict[str, Any], how: dict[str, Any]) -> Any:
     """Simulate a start with other draws of plans until one hangs, and return that one: the simulator as oracle.
 
     PyBullet cannot save and restore cloth, so that an oracle cannot be asked under way.
     """
-    known = KNOWN[task]
-    pace = options.pop("pace", 0.6)
     for draws in range(TRIES):
-        how = {
-            "radius": known.target.rods[0][2],
-            "cloud_delay": options.get("cloud_delay", 0),
-            "pace": pace,
-            "seed": draws,
-        }
-        result = hang(
-            task, seed=seed, controller=Planner(Carried(), known.needed(known.garment().named_loops), **how), **options
-        )
+        planner = Planner(None, needed(task), radius=radius(task), seed=draws, **how)
+        result = hang(disturbed(task, options), seed=seed, controller=planner)
         if result.success:
             break
     return result
 
 
-def scripted(task: str, seed: int, options: dict[str, Any]) -> Hanging:
+def scripted(env: Any, task: str, seed: int, options: dict[str, Any]) -> Any:
     """Run the script, which is given mesh, loop and target."""
-    env = HangEnv(task, max_steps=300, **options)
+    twin = disturbed(task, options)
 
-    class Script(Controller):
+    class Script:
+        reason = ""
+
         def reset(self, observation: Mapping[str, Any]) -> None:
-            self.reason = ""
-            env.reset(seed=seed)
+            twin.reset(seed=seed)
 
         def act(self, observation: Mapping[str, Any]) -> Any:
-            action = env.scripted_action()
-            env.step(action)
+            action = twin.unwrapped.scripted_action()
+            twin.step(action)
             return action
 
     try:
-        return hang(task, seed=seed, controller=Script(), **options)
+        return hang(env, seed=seed, controller=Script())
     finally:
-        env.close()
+        twin.close()
 
 
-def cause(task: Task, result: Hanging) -> str:
+def cause(task: Task, result: Any) -> str:
     """Return why a hanging failed, by which loops were around the target's centre line when it ended or was let go."""
     episode = result.episode
     last = int(result.episode.held.sum()) - 1
@@ -260,9 +290,7 @@ def main() -> None:
         result = run(task, who, scene, seed, options.steps)
         rows.append({"task": task, "who": who, "scene": scene, "seed": seed, "success": result.success})
         rows[-1] |= {"frames": result.steps, "reason": result.reason, "linked": list(result.linked)}
-        rows[-1] |= {"cause": "" if "target_speed" in SCENES[scene] else cause(KNOWN[task], result)} | (
-            {"learned_for": options.steps} if who == "ppo" else {}
-        )
+        rows[-1] |= {"cause": cause(KNOWN[task], result)} | ({"learned_for": options.steps} if who == "ppo" else {})
         if options.films and not result.success:
             save_episode(options.films / f"{task} {who} {scene} {seed}.npz".replace("/", " per "), result.episode)
         rows[-1] |= {"decision_ms": round(1000 * result.seconds_a_decision, 1), "seconds": time.perf_counter() - began}

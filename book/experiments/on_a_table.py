@@ -21,7 +21,7 @@ from tables import write_results
 
 import topokit as tk
 from topokit.sensors import Cleaner, Pipeline
-from topokit.sim import WARDROBE, Camera, Cloth, DepthNoise, World
+from topokit.sim import WARDROBE, Camera, Cloth, World
 
 OUT = Path(__file__).parents[1] / "results" / "on_a_table.json"
 WAYS = ("let down", "pushed", "folded")
@@ -78,13 +78,12 @@ def frame(seed: int, way: str) -> tuple[Points, NDArray[np.bool_], Camera]:
         middle = world.vertices().mean(axis=0)
         angle = rng.uniform(0, 2 * np.pi)
         eye = middle + [0.5 * np.cos(angle), 0.5 * np.sin(angle), 0.75]
-        camera = Camera(eye=tuple(eye), target=tuple(middle), width=640, height=480)
+        camera = Camera(eye=tuple(eye), target=tuple(middle), width=640, height=480, noise=1.0)
         depth, cloth = world.image(camera)
 
     # The same noise for the picture and for the mask of the cloth.
-    noise = DepthNoise(dropout=0.02)
-    noisy, seen = noise.add_to(depth, np.isfinite(depth), np.random.default_rng(seed))
-    _, of_cloth = noise.add_to(depth, cloth, np.random.default_rng(seed))
+    noisy, seen = camera.add_noise(depth, np.isfinite(depth), np.random.default_rng(seed))
+    _, of_cloth = camera.add_noise(depth, cloth, np.random.default_rng(seed))
     return camera.unproject(noisy, seen), of_cloth[seen], camera
 
 

@@ -68,7 +68,9 @@ class Carried:
     def reset(self) -> None:
         """Forget everything observed."""
 
-    def observe(self, points: ArrayLike, grippers: ArrayLike, held: bool, target: ArrayLike) -> None:
+    def observe(
+        self, points: ArrayLike, grippers: ArrayLike, held: bool = True, target: ArrayLike | None = None
+    ) -> None:
         """Take in the next frame; this forecaster uses the grippers alone."""
         self._grippers = np.array(grippers, np.float64)
 

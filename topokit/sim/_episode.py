@@ -121,7 +121,7 @@ def simulate(
     release = round(path.release / config.dt)
     run = Run(garment, target.rods, goals, release, config, tuple(cameras), n_observed, noise)
     report = _reporter(frames) if progress else None
-    recording = record(run, report) if time_limit is None else _record_afresh(run, time_limit, report)
+    recording = record(run, report) if time_limit is None else record_afresh(run, time_limit, report)
     if not cameras:
         chosen = (farthest_point_sample(frame, n_observed)[0] for frame in recording["points"])
         recording["observed"] = np.array([frame[ids] for frame, ids in zip(recording["points"], chosen, strict=True)])
@@ -165,7 +165,7 @@ def record(run: Run, report: Report | None = None) -> Recording:
     return recording
 
 
-def _record_afresh(run: Run, time_limit: float, report: Report | None) -> Recording:
+def record_afresh(run: Run, time_limit: float, report: Report | None) -> Recording:
     """Simulate a run in a fresh process, which is stopped when a frame takes longer than `time_limit` seconds."""
     answers = in_fresh_processes(record, [run], time_limit=time_limit, report=report, preload=[__name__])
     ((_, recording),) = answers
