@@ -43,24 +43,13 @@ with atheris.instrument_imports(include=["topokit"], exclude=SPARED):
     from topokit._archive import load_archive
     from topokit._config import load
     from topokit.sensors import Pipeline, read_clouds, read_stream
-    from topokit.sim import Garment, SimulationConfig
+    from topokit.sim import SimulationConfig
 
 LONGEST = 1 << 15  # bytes of an input
 ROOM = 800 << 20  # bytes of address space beside what the libraries have taken
 CLOUDS = ("npy", "npz", "png", "pcd", "mcap", "db3", "bag")
 DATA = Path(__file__).parent.parent / "data_small"
 TYPES = ("u1", "i4", "i8", "u2", "f4", "f8", "?", "U3", "c16", "M8[s]")
-
-
-def mesh(suffix: str) -> Callable[[bytes], object]:
-    """A reader of files of a mesh."""
-    path = FOLDER / f"mesh{suffix}"
-
-    def read(data: bytes) -> None:
-        path.write_bytes(data)
-        Garment.from_mesh(path)
-
-    return read
 
 
 def cloud(suffix: str) -> Callable[[bytes], object]:
@@ -286,9 +275,6 @@ def dataset() -> Callable[[bytes], object]:
 
 
 READERS: dict[str, Callable[[], Callable[[bytes], object]]] = {
-    "ply": lambda: mesh(".ply"),
-    "obj": lambda: mesh(".obj"),
-    "stl": lambda: mesh(".stl"),
     **{suffix: lambda suffix=suffix: cloud(suffix) for suffix in CLOUDS},
     "cloud.ply": lambda: cloud("ply"),
     "configuration": configuration,
@@ -310,24 +296,8 @@ def seeds(reader: str) -> list[bytes]:
     """Whole inputs to begin with."""
     if reader in (*CLOUDS, "cloud.ply"):
         return seeds_of_clouds(reader)
-    places = "0 0 0\n1 0 0\n0 0 1\n1 0 1\n"
-    head = (
-        "ply\nformat {} 1.0\nelement vertex 4\nproperty float x\nproperty float y\nproperty float z\nelement face 2\n"
-    )
-    head += "property list uchar int vertex_indices\nend_header\n"
-    rows = np.array(places.split(), "<f4").tobytes()
-    facet = "facet normal 0 0 1\nouter loop\nvertex 0 0 0\nvertex 1 0 0\nvertex 0 0 1\nendloop\nendfacet\n"
-    corners = np.array([0, 0, 1, 0, 0, 0, 1, 0, 0, 0, 0, 1], "<f4").tobytes() + b"\0\0"
-    triangle = b"\3" + np.array([0, 1, 2], "<i4").tobytes() + b"\3" + np.array([1, 3, 2], "<i4").tobytes()
     return {
         "episode": [(DATA / "apron_hook_0.npz").read_bytes()[:LONGEST], bytes(range(40)), b"\1" * 40],
-        "ply": [
-            (head.format("ascii") + places + "3 0 1 2\n3 1 3 2\n").encode(),
-            head.format("binary_little_endian").encode() + rows + triangle,
-            b"ply\nformat ascii 1.0\nelement evil 2000000000\nend_header\n",
-        ],
-        "obj": [b"v 0 0 0\nv 1 0 0\nv 0 0 1\nv 1 0 1\nf 1 2 3\nf 2/1/1 4//2 -2\n"],
-        "stl": [f"solid x\n{facet}endsolid x\n".encode(), b"\0" * 80 + b"\1\0\0\0" + corners],
         "live": [npy(np.eye(4)) + npy(np.eye(4) * 2), npy(np.zeros((3, 2), "i1"))],
     }.get(reader, [bytes(range(40)), b"\1" * 40])
 
@@ -396,7 +366,7 @@ def main() -> None:
 
 
 def logging_off() -> None:
-    """Repairs of meshes are logged as warnings."""
+    """Show no warnings of the readers."""
     import logging
 
     logging.disable(logging.CRITICAL)

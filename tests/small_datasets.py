@@ -30,13 +30,18 @@ SEED = 5
 OPTIONS = {"alpha": 0.003}  # cloth this coarse has no loop that outlives its spacing
 
 
-def write_cloth(path: Path, *, stretched: float = 1.0) -> list[int]:
-    """Write a cloth with a hole as an OBJ file of a stranger; return the vertex ids of the hole."""
+def write_cloth(path: Path, *, stretched: float = 1.0) -> dict[str, Any]:
+    """Write a cloth with a hole as an OBJ file; return what a configuration says of it."""
     cloth = WARDROBE["sheet"](spacing=0.06)
     lines = ["v {} {} {}".format(*(stretched * vertex)) for vertex in cloth.vertices]
     lines += ["f {} {} {}".format(*(face + 1)) for face in cloth.faces]
     path.write_text("\n".join(lines))
-    return cloth.loops[0].tolist()
+    return {
+        "up": "z",
+        "unit": 1.0,
+        "grips": cloth.grips.tolist(),
+        "loops": {"hole": cloth.loops[0].tolist()},
+    }
 
 
 @contextmanager

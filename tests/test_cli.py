@@ -148,21 +148,6 @@ def test_bad_calls_of_track_write_nothing(arguments, names, episode, tmp_path, c
 # -- simulate, generate, train ----------------------------------------------------------------------------------------------
 
 
-def test_simulate_takes_a_mesh(tmp_path, capsys):
-    pytest.importorskip("pybullet")
-    from topokit.sim import WARDROBE
-
-    tote = WARDROBE["tote"](handles=2, spacing=0.045)
-    rows = ["v {} {} {}".format(*place) for place in tote.vertices]
-    rows += ["f {} {} {}".format(*corners) for corners in tote.faces + 1]
-    (tmp_path / "bag.obj").write_text("\n".join(rows))
-    size = np.ptp(tote.vertices, axis=0).max()
-    out = tmp_path / "episode.npz"
-    answer = answer_of(capsys, "simulate", "--mesh", tmp_path / "bag.obj", "--up", "z", "--size", size, "--out", out)
-    assert (answer["task"], answer["success"]) == ("bag-hook", True)
-    assert len(load_episode(out)) == answer["frames"]
-
-
 def test_a_film_that_does_not_end_well_says_why_and_so_does_the_exit_code(tmp_path, monkeypatch, capsys):
     pytest.importorskip("pybullet")
     film = load_episode(DATA / "apron_hook_1.npz")

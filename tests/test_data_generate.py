@@ -290,7 +290,7 @@ def test_a_full_disk_is_no_fault_of_the_episode(tmp_path, outcomes):
 def test_a_mesh_of_ones_own_from_a_file_to_windows(tmp_path):
     """By the command, with a path relative to the configuration; then without the mesh, and with another one."""
     mesh, folder, config = tmp_path / "bag.obj", tmp_path / "data", tmp_path / "own.json"
-    bag = {"file": "bag.obj", "loops": {"hole": write_cloth(mesh)}, "up": "z"}
+    bag = {"file": "bag.obj", **write_cloth(mesh)}
     simulation = {"frames": 77, "settle": 0.05, "self_collision": False}
     own = {"version": 2, "tasks": {"bag-hook": 1}, "meshes": {"bag": bag}, "simulation": simulation, "n_observed": 48}
     config.write_text(json.dumps(own))
@@ -315,9 +315,8 @@ def test_a_mesh_of_ones_own_from_a_file_to_windows(tmp_path):
 
 
 def test_nothing_is_written_for_a_mesh_that_cannot_be_hung(tmp_path):
-    hole = write_cloth(tmp_path / "bag.obj")
-    bag = {"file": str(tmp_path / "bag.obj"), "loops": {"hem": hole}, "up": "z"}
+    bag = {"file": str(tmp_path / "bag.obj"), **write_cloth(tmp_path / "bag.obj"), "loops": {}}
     config = DatasetConfig.from_json({"version": 2, "tasks": {"bag-hook": 1}, "meshes": {"bag": bag}})
-    with pytest.raises(ValueError, match="no loop to hang it by"):
+    with pytest.raises(ValueError, match="the bag may hang; it has none"):
         generate_dataset(config, tmp_path / "data", 1, 0, progress=False)
     assert not (tmp_path / "data").exists()

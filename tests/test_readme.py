@@ -69,21 +69,6 @@ def test_times_of_persistence():
     assert _rips_tables.in_page(SPEED, record("rips")) == SPEED, "run python book/experiments/rips.py --page"
 
 
-def test_meshes_of_strangers():
-    results = record("garments")
-    garments = [row for row in results["meshes"] if row["expected"] == "hangs"]
-    text = " ".join(USAGE.split())
-    assert f"Of {len(results['meshes'])} files, {len(garments)} garments as other tools write them" in text
-    assert f"{results['hangs']} hang at the end of the film, and {results['refused']} are refused" in text
-    film = record("strangers")
-    planned = record("strangers_hang")
-    assert len(film["meshes"]) == len(planned["meshes"]) == 30
-    for results in (film, planned):
-        assert (
-            f"{results['hangs']} hang, {results['does not hang']} do not, and {results['refused']} is refused" in text
-        )
-
-
 def test_numbers_of_readme():
     rows = dict(re.findall(r"^\| ([^|]+?) \| (.*) \|$", README, re.MULTILINE))
     rips = {name: row["entries"] for name, row in record("rips")["rows"].items()}

@@ -43,8 +43,8 @@ def test_a_garment_that_fits_in_no_size_keeps_its_own():
 
     assert varied_garment(refuse, own, 0.35, np.random.default_rng(0)) is own
     assert len(tries) == 50
-    short = varied_garment(WARDROBE["sheet"], own, 0.35, np.random.default_rng(0), own.hangs_down * 0.9)
-    assert short.hangs_down < own.hangs_down * 0.9
+    short = varied_garment(WARDROBE["sheet"], own, 0.35, np.random.default_rng(0), own.length * 0.9)
+    assert short.length < own.length * 0.9
 
 
 def test_targets_vary_and_do_not_get_thin():

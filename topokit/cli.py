@@ -143,14 +143,8 @@ def _name(*suffixes: str) -> Callable[[str], Path]:
 
 def _add_scene(add: Callable[..., Any], default: str) -> None:
     """Add the parameters that say which garment is hung on which target."""
-    tasks = (
-        f"garment and target (default: {default}; topokit.sim.TASKS has all), or with --mesh the target alone (hook)"
-    )
-    add("--task", metavar="TASK", help=tasks)
+    add("--task", metavar="TASK", help=f"garment and target (default: {default}; topokit.sim.TASKS has all)")
     add("--seed", type=int, metavar="N", help="seed of everything random (default: 0)")
-    add("--mesh", type=Path, metavar="FILE", help="a garment of one's own (.obj, .ply, .stl)")
-    add("--size", type=float, metavar="M", help="the largest extent of the mesh in metres")
-    add("--up", metavar="AXIS", choices=("x", "y", "z", "-x", "-y", "-z"), help="the axis of the mesh that points up")
 
 
 def _table(answer: Answer) -> str:
@@ -269,11 +263,8 @@ def _text(path: Path | None) -> str | None:
 
 def simulate(
     out: Path,
-    task: str | None = None,
+    task: str = "apron-hook",
     randomise: bool = False,
-    mesh: Path | None = None,
-    size: float | None = None,
-    up: str | None = None,
     **options: Any,
 ) -> Answer:
     """Record an episode: a garment is carried to a target and let go there.
@@ -281,12 +272,11 @@ def simulate(
     The exit code is 1 when it does not hang.
     """
     from .io import save_episode
-    from .sim import Randomisation
+    from .sim import TASKS, Randomisation
     from .sim import simulate as run_simulation
 
-    scene = _scene("apron-hook", task, mesh, size=size, up=up)
     randomisation = Randomisation() if randomise else None
-    episode = run_simulation(**scene, randomisation=randomisation, progress=True, **options)
+    episode = run_simulation(task=task, randomisation=randomisation, progress=True, **options)
     save_episode(out, episode)
     return {
         "out": str(out),
@@ -294,33 +284,15 @@ def simulate(
         "frames": len(episode),
         "vertices": episode.points.shape[1],
         "success": episode.success,
-        "reason": scene["task"].explain(episode) or "it hangs",
+        "reason": TASKS[task].explain(episode) or "it hangs",
     }
 
 
-def _scene(default: str, task: str | None, mesh: Path | None, **reading: Any) -> dict[str, Any]:
-    """Return the task as a parameter of `simulate` and `hang`; a mesh may hang by any of its loops."""
-    from .sim import TASKS, Garment, Hanger, Hook, Task
-
-    targets: dict[str, Any] = {kind.name: kind for kind in (Hook, Hanger)}
-    name = task or (default if mesh is None else "hook")
-    known = TASKS if mesh is None else targets
-    if name not in known:
-        raise ValueError(f"--task {name}: it must be one of {', '.join(known)}")
-    if mesh is None:
-        return {"task": TASKS[name]}
-    garment = Garment.from_mesh(mesh, loops="auto", **reading).evened()
-    return {"task": Task.of(garment, targets[name](), garment.loop_names)}
-
-
 def hang(
-    task: str | None = None,
+    task: str = "tote-hook",
     out: Path | None = None,
     film: Path | None = None,
     anywhere: bool = False,
-    mesh: Path | None = None,
-    size: float | None = None,
-    up: str | None = None,
     **options: Any,
 ) -> Answer:
     """Hang a garment by its observations, in a closed loop.
@@ -331,10 +303,9 @@ def hang(
     from .io import save_episode
     from .seqph import track as track_clouds
 
-    scene = _scene("tote-hook", task, mesh, size=size, up=up)
     if anywhere:
-        scene["place"] = "anywhere"
-    result = run_hanging(**scene, progress=True, **options)
+        options["place"] = "anywhere"
+    result = run_hanging(task, progress=True, **options)
     if out is not None:
         save_episode(out, result.episode)
     if film is not None:

@@ -65,14 +65,14 @@ class MeshFile:
     """A garment of one's own in a dataset: a file, and the options of `topokit.sim.Garment.from_mesh` to read it with."""
 
     file: str  #: path (OBJ, PLY or STL); in the file of a configuration relative to that file
+    up: Literal["x", "y", "z", "-x", "-y", "-z"]  #: the axis that points up
+    grips: Ids  #: two vertex ids
     #: checksum of the file's bytes; `generate_dataset` fills it in, makes the path absolute, and refuses another mesh
     sha256: Annotated[str, Field(pattern="^([0-9a-f]{64})?$")] = ""
-    #: rule to find the loops, or their vertex ids by name
-    loops: Literal["auto", "borders"] | Mapping[str, Ids] = "auto"
-    grips: Ids | None = None  #: two vertex ids; found when not given
+    #: loops by name: vertex ids, or names of loops that are found in the mesh ("loop 2")
+    loops: Literal["auto"] | Mapping[str, str | Ids] = "auto"
     size: Positive | None = None  #: largest extent, metres
-    scale: Positive | None = None  #: metres in one unit of the file, instead of a size
-    up: Literal["x", "y", "z", "-x", "-y", "-z"] | None = None  #: the axis that points up; found when not given
+    unit: Positive | None = None  #: metres in one unit of the file, instead of a size
 
     def __post_init__(self) -> None:
         if not isinstance(self.loops, str):  # sorted: a JSON object has no order
@@ -137,7 +137,7 @@ class DatasetConfig:
                 raise ValueError(f"meshes: {name!r} {why}")
         for name in self.sizes:
             if name in self.meshes:
-                raise ValueError(f"sizes are of the wardrobe's garments: give meshes[{name!r}] a size, or a scale")
+                raise ValueError(f"sizes are of the wardrobe's garments: give meshes[{name!r}] a size, or a unit")
             if name not in garments:
                 raise ValueError(f"sizes: no task has a garment {name!r}; the tasks have {', '.join(garments)}")
             if self.sizes[name].get("spacing", 1.0) < _FINEST:
@@ -204,7 +204,7 @@ def checked_file(mesh: MeshFile) -> tuple[Path, str]:
 
 def _garment_of_mesh(name: str, mesh: MeshFile) -> Garment:
     path, _ = checked_file(mesh)
-    options = {option: getattr(mesh, option) for option in ("loops", "grips", "size", "scale", "up")}
+    options = {option: getattr(mesh, option) for option in ("loops", "grips", "size", "unit", "up")}
     return dataclasses.replace(Garment.from_mesh(path, **options), name=name)
 
 
@@ -295,7 +295,7 @@ def _varied(config: DatasetConfig, name: str, task: Task, garment: Garment, seed
 
 def _scaled(garment: Garment, vary: float, longest: float, rng: np.random.Generator) -> Garment:
     """Return the garment scaled as a whole; it does not exceed the largest size, unless it already does."""
-    most = min(1 + vary, max(1.0, longest / max(garment.hangs_down, 1e-9)))
+    most = min(1 + vary, max(1.0, longest / max(garment.length, 1e-9)))
     factor = float(np.exp(rng.uniform(-np.log1p(vary), np.log(most))))
     parameters = {**garment.parameters, "varied": factor}
     return dataclasses.replace(garment, vertices=factor * garment.vertices, parameters=parameters)

@@ -33,7 +33,7 @@ def varied_garment(
             other = make(**sizes, spacing=float(spacing * np.sqrt(len(first.vertices) / len(garment.vertices))))
         except ValueError:
             continue
-        if other.hangs_down <= longest and (_extent(other) <= MOST * extent).all():
+        if other.length <= longest and (_extent(other) <= MOST * extent).all():
             return other
     return garment
 

@@ -19,13 +19,6 @@ from ._garments import Garment
 from ._wardrobe import WARDROBE
 from ._world import SimulationConfig
 
-_FRAME = 0.036  # time between two frames, seconds
-_FEWEST_STEPS = 27  # least steps of a frame: with a slower clock straps tunnel
-_MOST_STEPS = 81  # most steps of a frame: a quicker clock takes long
-_CLOCK = 1.0  # m^0.5, steps of a frame times L / sqrt(S): about the value of the wardrobe's garments
-_MARGIN = 0.3  # largest margin as a share of the shortest edge
-_MARGIN_OF_USUAL = 0.18  # largest margin as a share of the median edge
-
 
 @checked
 class Cloth:
@@ -52,17 +45,18 @@ class Cloth:
         mass = self.density * area
         shortest = float(garment.edge_lengths.min())
         usual = float(np.median(garment.edge_lengths))
-        # sqrt(S) is area**0.25, as S goes with the square root of the area.
-        steps = min(max(math.ceil(_CLOCK * area**0.25 / usual), _FEWEST_STEPS), _MOST_STEPS)
+        # Steps of a frame go with sqrt(S) / L, about as for the garments of the wardrobe; sqrt(S) is area**0.25. With fewer than
+        # 27 of them straps tunnel, and more than 81 take long.
+        steps = min(max(math.ceil(area**0.25 / usual), 27), 81)
         physics = {
-            "dt": _FRAME / steps,
+            "dt": 0.036 / steps,  # a frame takes 36 ms
             "steps_per_frame": steps,
             "mass": mass,
             "stiffness": self.stiffness,
-            "bending": self.bending * (_FEWEST_STEPS / steps) ** 2,  # the same acceleration at any clock
+            "bending": self.bending * (27 / steps) ** 2,  # the same acceleration at any clock
             "damping": self.damping * mass / len(garment.vertices),
             "friction": self.friction,
-            "margin": min(_MARGIN, _MARGIN_OF_USUAL * usual / shortest),
+            "margin": min(0.3, 0.18 * usual / shortest),  # at most 0.3 of the shortest edge, and 0.18 of the median one
         }
         return SimulationConfig(**{**physics, **options})
 

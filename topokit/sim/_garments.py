@@ -1,80 +1,119 @@
-"""Garments: triangle meshes with their true loops and the places where they are held.
-
-A garment is cut from flat patterns and sewn together. Triangles are near-equilateral, so that a mass-spring cloth behaves
-alike in every direction, and the border of an opening keeps its order: it is the true loop.
-"""
+"""Garments: triangle meshes with their true loops and the vertices by which they are held."""
 
 from __future__ import annotations
 
 import functools
-import logging
 from collections.abc import Mapping
 from dataclasses import dataclass, field, replace
 from pathlib import Path
-from typing import Any
+from typing import Literal
 
 import numpy as np
+import trimesh
+from numpy.typing import ArrayLike
 
 from topokit._geometry import turned
-from topokit._strangers import printable
-from topokit._validate import as_ids, as_points
+from topokit._validate import as_ids, as_points, positive
 
-from . import _mesh, _names
-from ._even import evened, is_even, usual_spacing
-from ._surface import Array, Ids, check_loop, check_mesh, edge_lengths, face_areas, half_edges
-
-_log = logging.getLogger("topokit.sim")
+from ._mesh import Surface, held_upright
+from ._surface import Array, Ids, count_components, edge_lengths, half_edges, not_joined
 
 
 @dataclass(frozen=True, eq=False)
 class Garment:
     """A triangle mesh with its true loops and the two vertices by which grippers hold it.
 
-    Meshes that make a physics engine fail or hang are refused: with vertices in no face, several components, edges without
-    length, or faces that contain a vertex twice; the message lists them. An edge may be in three faces, for example where a
-    strap is sewn on.
+    `WARDROBE` makes garments from patterns, `from_mesh` reads those of others. Meshes that make a physics engine fail are
+    refused: with vertices in no face, several components, edges without length, or faces that contain a vertex twice.
     """
 
     name: str  #: name that episodes record
     vertices: Array  #: rest positions (N, 3) float64, metres, z up; they determine the rest lengths of the springs
     faces: Ids  #: vertex ids (F, 3) int64, counted from 0
-    #: True loops, each (L,) int64: closed cycles of vertex ids along edges (the last is joined to the first).
+    #: True loops, each (L,) int64: closed cycles of vertex ids along edges. The first is the one to hang the garment by.
     loops: tuple[Ids, ...]
     grips: Ids  #: ids (2,) int64 of the vertices that the grippers hold
     parameters: Mapping[str, float] = field(default_factory=dict)  #: sizes that it was made from
-    #: Names of the loops, all different: neck, hem, handle, strap, arm, waist, ear, hole, edge, rim, ...; several of a kind are
-    #: numbered ("handle 1"). When not given, they are found from place and size of the loops on the upright mesh.
+    #: Names of the loops, all different; several of a kind are numbered ("handle 1"). "loop 1", ... when not given.
     loop_names: tuple[str, ...] = ()
-    repairs: tuple[str, ...] = ()  #: repairs of the mesh by `from_mesh`, in words
 
     def __post_init__(self) -> None:
         # Check and copy the arrays, so that they cannot be changed from outside.
         vertices = as_points(self.vertices, "vertices", copy=True)
-        if vertices.shape[1] != 3:
-            raise ValueError(f"vertices must be an (N, 3) array, not of shape {vertices.shape}")
         faces = as_ids(self.faces, "faces", len(vertices))
-        if faces.ndim != 2 or faces.shape[1] != 3 or not len(faces):
-            raise ValueError(f"faces must be vertex ids (F, 3), one row at least, not of shape {faces.shape}")
         grips = as_ids(self.grips, "grips", len(vertices))
-        if grips.shape != (2,) or grips[0] == grips[1]:
-            raise ValueError(f"grips must be two different vertex ids, not {grips.tolist()}")
         loops = tuple(as_ids(loop, f"loops[{i}]", len(vertices)) for i, loop in enumerate(self.loops))
+        names = tuple(self.loop_names) or tuple(f"loop {i + 1}" for i in range(len(loops)))
         for array in (vertices, faces, grips, *loops):
             array.setflags(write=False)
-        values = {"vertices": vertices, "faces": faces, "grips": grips, "loops": loops}
+        values = {"vertices": vertices, "faces": faces, "grips": grips, "loops": loops, "loop_names": names}
         for key, value in {**values, "parameters": dict(self.parameters)}.items():
             object.__setattr__(self, key, value)
-        # Check that they are a cloth, and name its loops.
-        check_mesh(vertices, faces)
+        _check_mesh(self)
         for i, loop in enumerate(loops):
-            check_loop(loop, self.edges, f"loops[{i}]")
-        names = tuple(self.loop_names) or _names.named(vertices, faces, loops)
-        words = all(isinstance(name, str) and name for name in names)
-        if not words or not len(set(names)) == len(names) == len(loops):
-            raise ValueError(f"loop_names must be {len(loops)} different names, one a loop, not {names!r:.200}")
-        object.__setattr__(self, "loop_names", names)
-        self.edges.setflags(write=False)  # computed once and shared
-        self.edge_lengths.setflags(write=False)
+            _check_loop(loop, self.edges, f"loops[{i}]")
+        if grips.shape != (2,) or grips[0] == grips[1]:
+            raise ValueError(f"grips must be two different vertex ids, not {grips.tolist()}")
+        if not len(set(names)) == len(names) == len(loops):
+            raise ValueError(f"loop_names must be {len(loops)} different names, one a loop, not {names}")
+
+    @classmethod
+    def from_mesh(
+        cls,
+        mesh: str | Path | trimesh.Trimesh,
+        *,
+        up: Literal["x", "y", "z", "-x", "-y", "-z"] | None = None,
+        size: float | None = None,
+        unit: float | None = None,
+        loops: Literal["auto"] | Mapping[str, str | ArrayLike] = "auto",
+        grips: ArrayLike | None = None,
+        name: str | None = None,
+    ) -> Garment:
+        """Return the garment of a mesh file (OBJ, PLY, STL, ...), or of a mesh of trimesh.
+
+        Vertices at one place become one. What a mesh does not say is asked for: when an argument is missing, the error lists
+        its candidates, and appendix C draws them. The mesh should have some hundred vertices, about equally far apart.
+
+        Parameters
+        ----------
+        mesh : path or trimesh.Trimesh
+            One piece of cloth. Vertex ids are those of the mesh, or of `trimesh.load_mesh` for a file.
+        up : {"x", "y", "z", "-x", "-y", "-z"}
+            The axis of the mesh that points up.
+        size, unit : float
+            One of the two: the largest extent that the garment shall have, metres; or the metres in a unit of the mesh.
+        loops : "auto" or mapping of str to (L,) array_like of int or to str
+            True loops by their names ("neck"), the one to hang the garment by first: closed cycles of vertex ids, or names of
+            loops of `find_loops` ("loop 2"). "auto" takes all of these.
+        grips : (2,) array_like of int
+            Ids of the vertices to hold; the garment is turned so that the first is on the left.
+        name : str, optional
+            The name of the file when not given.
+
+        Raises
+        ------
+        TypeError
+            When `up`, `grips`, or both `size` and `unit` are missing.
+        ValueError
+            When the mesh is no garment, or a loop is no closed cycle along its edges.
+        """
+        surface = Surface(mesh)
+        scale = unit if size is None else size / float(np.ptp(surface.vertices[surface.used], axis=0).max())
+        if up is None or scale is None or grips is None:
+            raise TypeError(surface.question({"up": up, "size or unit": scale, "grips": grips}))
+        held = surface.numbers(grips, "grips")
+        cycles = surface.loops()
+        if loops != "auto":
+            cycles = {key: cycles[loop] if isinstance(loop, str) else np.asarray(loop) for key, loop in loops.items()}
+        return cls(
+            name or (mesh.metadata.get("name", "mesh") if isinstance(mesh, trimesh.Trimesh) else Path(mesh).stem),
+            held_upright(positive(scale, "unit", zero=False) * surface.vertices[surface.used], up, held),
+            np.searchsorted(surface.used, surface.faces),
+            tuple(surface.numbers(cycle, f"loops[{key!r}]") for key, cycle in cycles.items()),
+            held,
+            {"scale": scale},
+            tuple(cycles),
+        )
 
     @property
     def named_loops(self) -> dict[str, Ids]:
@@ -82,27 +121,30 @@ class Garment:
         return dict(zip(self.loop_names, self.loops, strict=True))
 
     @property
-    def hanging_loop(self) -> Ids | None:
-        """Return the true loop (L,) to hang the garment by: the neck if it has one; None without a loop."""
-        names = [*_names.to_hang_by(self.loop_names), *self.loop_names]
-        return self.named_loops[names[0]] if names else None
-
-    @property
-    def hangs_down(self) -> float:
-        """Return the distance from the top of the hanging loop down to the lowest vertex, metres; 0 without a loop."""
-        loop = self.hanging_loop
+    def length(self) -> float:
+        """Return the distance from the top of the first loop down to the lowest vertex, metres; 0 without a loop."""
         heights = self.vertices[:, 2]
-        return 0.0 if loop is None else float(heights[loop].max() - heights.min())
+        return float(heights[self.loops[0]].max() - heights.min()) if self.loops else 0.0
 
     @functools.cached_property
     def edges(self) -> Ids:
         """Return all edges (E, 2) once, smaller id first, in lexicographic order."""
-        return np.unique(half_edges(self.faces), axis=0)
+        edges = np.unique(half_edges(self.faces), axis=0)
+        edges.setflags(write=False)
+        return edges
 
     @functools.cached_property
     def edge_lengths(self) -> Array:
         """Return the rest lengths (E,) of `edges`, metres."""
-        return edge_lengths(self.vertices, self.edges)
+        lengths = edge_lengths(self.vertices, self.edges)
+        lengths.setflags(write=False)
+        return lengths
+
+    @property
+    def area(self) -> float:
+        """Return the area of the cloth, square metres."""
+        a, b, c = np.moveaxis(self.vertices[self.faces], 1, 0)
+        return float((np.linalg.norm(np.cross(b - a, c - a), axis=1) / 2).sum())
 
     def turned(self, degrees: float) -> Garment:
         """Return the garment turned about the z axis, from x towards y.
@@ -113,42 +155,34 @@ class Garment:
         """
         return replace(self, vertices=turned(self.vertices, degrees)) if degrees else self
 
-    @property
-    def area(self) -> float:
-        """Return the area of the cloth, square metres."""
-        return float(face_areas(self.vertices, self.faces).sum())
 
-    def evened(self) -> Garment:
-        """Return the garment with edges of nearly equal length that suit its size; itself when it has them already.
-
-        A simulation needs such a mesh: short edges tear, and long ones let a rod through. Loops and grips stay where they are.
-        """
-        spacing = usual_spacing(self.vertices, self.faces)
-        if is_even(self.vertices, self.faces, spacing):
-            return self
-        even = evened(self.vertices, self.faces, spacing, self.loops)
-        note = f"{len(self.vertices)} vertices were replaced by {len(even.vertices)}, about {spacing:.2g} m apart"
-        _log.warning("%s", printable(f"{self.name}: {note}"))
-        return replace(
-            self,
-            vertices=even.vertices,
-            faces=even.faces,
-            loops=tuple(even.cycles),
-            grips=even.nearest[self.grips],
-            repairs=(*self.repairs, note),
+def _check_mesh(garment: Garment) -> None:
+    """Raise ValueError when a mesh would make the physics engine fail or hang."""
+    vertices = garment.vertices
+    faces = garment.faces
+    if vertices.shape[1] != 3 or faces.ndim != 2 or faces.shape[1] != 3 or not len(faces):
+        raise ValueError(f"vertices must be (N, 3) and faces (F, 3), not {vertices.shape} and {faces.shape}")
+    repeats = (faces == np.roll(faces, 1, axis=1)).any(axis=1)
+    if repeats.any():
+        raise ValueError(f"faces[{np.argmax(repeats)}] names a vertex twice: {faces[np.argmax(repeats)].tolist()}")
+    unused = np.setdiff1d(np.arange(len(vertices)), faces)
+    if len(unused):
+        raise ValueError(f"{len(unused)} vertices are in no face, the first is vertex {unused[0]}; remove them")
+    count = count_components(faces)
+    if count > 1:  # PyBullet never returns from loading one that is joined by a vertex alone
+        raise ValueError(
+            f"the mesh has {count} components that no edge joins; join them, or keep one (trimesh's split)"
         )
+    if garment.edge_lengths.min() <= 0:
+        edge = garment.edges[np.argmin(garment.edge_lengths)].tolist()
+        raise ValueError(f"edge {edge} has length 0; make one vertex of its two")
 
-    @staticmethod
-    def from_mesh(path: str | Path, **options: Any) -> Garment:
-        """Return the garment of an OBJ, PLY or STL file."""
-        read = _mesh.from_mesh(path, **options)
-        return Garment(
-            Path(path).stem,
-            read.vertices,
-            read.faces,
-            read.loops,
-            read.grips,
-            {"scale": read.scale},
-            read.loop_names,
-            read.repairs,
-        )
+
+def _check_loop(loop: Ids, edges: Ids, name: str) -> None:
+    """Raise ValueError unless a loop is a simple closed cycle along edges (E, 2)."""
+    if loop.ndim != 1 or len(loop) < 3 or len(np.unique(loop)) != len(loop):
+        raise ValueError(f"{name} must be a cycle of 3 or more different vertex ids, not {loop.tolist()!r:.80}")
+    missing = not_joined(loop, edges)
+    if missing:
+        a, b = missing[0]
+        raise ValueError(f"{name} is not a closed cycle of the mesh: no edge joins vertices {a} and {b}")

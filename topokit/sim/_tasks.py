@@ -1,7 +1,7 @@
 """Tasks: a garment, its target, a scripted path to it, and the test whether the garment hangs there.
 
-Idea: a script carries the loop by which a person would hang the garment (`Garment.hanging_loop`). It places a few stations
-relative to target and garment, and moves them by draws from given ranges.
+Idea: a script carries a loop of the garment to the target. It places a few stations relative to target and garment, and moves
+them by draws from given ranges.
 
 Source: Antonova et al. 2021, section 6. Taught in chapter 10.
 """
@@ -20,7 +20,6 @@ from topokit.io import LOOP_NAMES, Episode
 from topokit.linking import side_lengths
 
 from ._garments import Garment
-from ._hung import choose, hang_by_opening
 from ._path import GripperPath, Via, drawn_about, off_script
 from ._surface import Array
 from ._targets import Hanger, Hook, Mannequin, Target
@@ -46,7 +45,7 @@ class Task:
     def of(cls, garment: Garment, target: Target, loops: Sequence[str] = ()) -> Task:
         """Return the task of `TASKS` for a garment and a target; for a garment of one's own, a task that needs its loops.
 
-        A garment of one's own is carried by that loop which the target's arm enters most easily, as the garment hangs.
+        The first of these loops is carried over the target's tip.
 
         Parameters
         ----------
@@ -70,7 +69,8 @@ class Task:
             raise ValueError(f"name the loops by which the {garment.name} may hang; it has {has}")
         if isinstance(target, Mannequin):
             raise ValueError(f"no script puts a {garment.name} on a mannequin: make a Task with a plan of your own")
-        return cls(name, make, target, carry_by_opening, tuple(loops or garment.loop_names))
+        loops = tuple(loops or garment.loop_names)
+        return cls(name, make, target, functools.partial(carry_over_tip, loop=loops[0], rest=2.0), loops)
 
     def path(self, garment: Garment, target: Target, rng: np.random.Generator) -> GripperPath:
         """Return a path to a target where it is: the plan for it before it is placed, turned and moved with it."""
@@ -173,10 +173,19 @@ def _is_around(target: Target, curve: Array) -> bool:
 
 
 def carry_over_tip(
-    garment: Garment, target: Target, rng: np.random.Generator, *, opening: float = 1.0, rest: float = 1.05
+    garment: Garment,
+    target: Target,
+    rng: np.random.Generator,
+    *,
+    loop: str | None = None,
+    opening: float = 1.0,
+    rest: float = 1.05,
 ) -> GripperPath:
-    """Carry the first true loop over the upturned tip, and lower it; an `opening` above 1 turns straps to face the arm."""
-    aside, below = _opening(garment, opening)
+    """Carry a true loop, by default the first, over the upturned tip, and lower it.
+
+    An `opening` above 1 turns straps to face the arm.
+    """
+    aside, below = _opening(garment, loop, opening)
     tip = target.centre_line[-1]
     seat = target.seat
     radius = target.rods[0][2]
@@ -256,9 +265,10 @@ def _reach(garment: Garment) -> float:
     return float(garment.vertices[:, 1].max() - garment.vertices[garment.grips, 1].mean())
 
 
-def _opening(garment: Garment, opening: float = 1.0) -> tuple[float, float]:
-    """Return the distances of the hanging loop to the right of the grips' middle, and of its top below them."""
-    curve = garment.vertices[garment.hanging_loop] - garment.vertices[garment.grips].mean(axis=0)
+def _opening(garment: Garment, loop: str | None = None, opening: float = 1.0) -> tuple[float, float]:
+    """Return the distances of a loop, by default the first, to the right of the grips' middle, and of its top below them."""
+    ids = garment.loops[0] if loop is None else garment.named_loops[loop]
+    curve = garment.vertices[ids] - garment.vertices[garment.grips].mean(axis=0)
     grips = _spread(garment)
     gap = np.linalg.norm(curve[:, None] - grips, axis=2)  # (L, 2)
     grips = grips * opening
@@ -277,14 +287,6 @@ def _opening(garment: Garment, opening: float = 1.0) -> tuple[float, float]:
     chord = float(np.linalg.norm(grips[0] - grips[1]))
     sag = float(np.sqrt(3 / 8 * chord * max(arc - chord, 0)))
     return aside, max(-float(curve[:, 2].max()), 0.0) + slope + sag
-
-
-def carry_by_opening(garment: Garment, target: Target, rng: np.random.Generator) -> GripperPath:
-    """Carry the loop that an arm enters most easily as the garment hangs, or the first one where none is open."""
-    choice = choose(garment, target)
-    if choice is None:
-        return carry_over_tip(garment, target, rng, rest=2.0)
-    return hang_by_opening(garment, target, choice, rng)
 
 
 _carry_sideways = functools.partial(carry_over_tip, opening=1.15, rest=2.0)
