@@ -10,7 +10,7 @@ from typing import Any
 import gymnasium
 import numpy as np
 
-from topokit._progress import Progress
+from topokit._progress import show_progress
 from topokit.io import Episode
 from topokit.sim import Garment, HangEnv, Hanger, Hook, Mannequin, Task
 
@@ -111,7 +111,6 @@ def _run(
     controller.reset(observation)
     seconds: list[float] = []
     ends = False
-    show = Progress("hanging", f"of at most {max_steps}")
     while not ends:
         started = time.perf_counter()
         action = controller.act(observation)
@@ -121,7 +120,7 @@ def _run(
             observation, _, terminated, truncated, info = env.step(action)
             ends = terminated or truncated or len(seconds) >= max_steps
         if progress:
-            show(len(seconds), ends)
+            show_progress(f"hanging: frame {len(seconds)} of at most {max_steps}", ends=ends)
     # Record the outcome, and how the episode ended.
     episode = scene.episode(type(controller).__name__)
     loops = scene.garment.named_loops

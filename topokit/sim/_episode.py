@@ -19,7 +19,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from topokit._processes import in_fresh_processes
-from topokit._progress import Progress
+from topokit._progress import show_progress
 from topokit.io import FEWEST_FRAMES, Episode, wardrobe_names
 from topokit.sampling import farthest_point_sample
 
@@ -178,8 +178,7 @@ def record_afresh(run: Run, time_limit: float, report: Report | None) -> Recordi
 
 def _reporter(frames: int) -> Report:
     """Return a report that writes the number of frames done to stderr."""
-    show = Progress("simulating", f"of {frames}")
-    return lambda frame: show(frame + 1, frame + 1 == frames)
+    return lambda frame: show_progress(f"simulating: frame {frame + 1} of {frames}", ends=frame + 1 == frames)
 
 
 def is_at_rest(before: Array, points: Array, seconds: float) -> bool:
