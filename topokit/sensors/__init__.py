@@ -1,4 +1,4 @@
-"""Clouds of sensors, made ready for the tracker: from files, streams, depth images and ROS bags, through a declared pipeline.
+"""Clouds of sensors, made ready for the tracker: read from files, cleaned step by step, and remembered where they are hidden.
 
 Taught in chapter 8.
 """
@@ -8,8 +8,8 @@ from typing import TYPE_CHECKING
 from topokit._lazy import attach
 
 if TYPE_CHECKING:
-    from ._files import read_clouds, read_stream
+    from ._clean import Cleaner
     from ._memory import CloudMemory
-    from ._pipeline import Cleaner, Pipeline
+    from ._read import read_clouds
 
 __getattr__, __dir__, __all__ = attach(__name__, __file__, "sensors")

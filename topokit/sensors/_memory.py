@@ -34,7 +34,7 @@ class CloudMemory:
 
     Remembered points move with the mean of the points in sight, since one side of a cloth shows little of the other's motion.
     So the cloth should stay in the picture, and objects in front of it should be given as `around`. Otherwise points that
-    are hidden, or have left, look like motion. Clouds should be evenly sampled (`Pipeline` with a voxel, or farthest points).
+    are hidden, or have left, look like motion. Clouds should be evenly sampled (`Cleaner` with a voxel, or farthest points).
     When every frame is a new random sample, the points of many frames pile up.
 
     Parameters

@@ -167,7 +167,7 @@ def record(run: Run, report: Report | None = None) -> Recording:
 
 def record_afresh(run: Run, time_limit: float, report: Report | None) -> Recording:
     """Simulate a run in a fresh process, which is stopped when a frame takes longer than `time_limit` seconds."""
-    answers = in_fresh_processes(record, [run], time_limit=time_limit, report=report, preload=[__name__])
+    answers = in_fresh_processes(record, [run], time_limit=time_limit, report=report)
     ((_, recording),) = answers
     if isinstance(recording, RuntimeError):
         raise SimulationError(str(recording)) from recording
