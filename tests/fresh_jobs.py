@@ -41,15 +41,6 @@ def count_up(n: int, report) -> str:
     return tempfile.gettempdir()
 
 
-def hears(_: str) -> tuple[list[int], int]:
-    """Return the signals that this process does not hear, and at how many addresses it, its server or its caller listens."""
-    import psutil
-
-    us = psutil.Process()
-    sockets = [socket for process in (us, *us.parents()[:2]) for socket in process.net_connections("inet")]
-    return sorted(map(int, signal.pthread_sigmask(signal.SIG_BLOCK, []))), len(sockets)
-
-
 def wait(path: str) -> None:
     """Tell which process this is, and do not end."""
     Path(path).with_suffix(".new").write_text(f"{os.getppid()} {os.getpid()}")

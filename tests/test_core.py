@@ -36,7 +36,8 @@ idx, radius = tk.farthest_point_sample(ring, 30)
 assert tk.covering_radius(ring, ring[idx]) == radius == tk.hausdorff(ring, ring[idx])
 assert isinstance(tk.rips_persistence(ring), tk.Diagram)
 assert len(tk.rips_persistence_many([ring, ring])) == 2
-states = tk.track([ring, ring + [0, 0, 0.01]])
+clouds = [ring, ring + [0, 0, 0.01]]
+states = tk.track(clouds)
 assert isinstance(states[1], tk.TopologicalState)
 assert [loop.id for loop in tk.SeqPH().update(ring).loops] == [0]
 loop = states[1].loops[0]
@@ -45,7 +46,7 @@ assert [one.id for one in tk.follow([loop], ring)] == [loop.id]
 assert isinstance(tk.loop_mixture(loop), tk.LoopMixture)
 pole = np.array([[0, 0, -9], [0, 0, 9], [99, 0, 9], [99, 0, -9]])
 assert abs(tk.linking_number(loop.cycle_points, pole)) == 1
-assert load_states(save_states(sys.argv[1], states))[1].loops[0].birth == loop.birth
+assert load_states(save_states(sys.argv[1], states), clouds)[1].loops[0].birth == loop.birth
 """
 SCORES = "from topokit.evaluate import compare, distance_to_hull\nassert distance_to_hull([0.5], [[0], [1]]) < 1e-9\n"
 

@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import dataclasses
 import json
-import os
 import zipfile
 from pathlib import Path
 
@@ -51,18 +50,6 @@ def some_states():
 
 def ticks(positions):
     return np.rint(np.asarray(positions, dtype=np.float64) * 10_000)
-
-
-# -- writing ----------------------------------------------------------------------------------------------------------------
-
-
-@pytest.mark.skipif(os.name != "posix", reason="rights of files")
-def test_a_file_has_the_usual_rights_and_the_umask_stays(tmp_path, monkeypatch):
-    """Another thread might make a file while it is 0."""
-    (tmp_path / "plain").touch()
-    monkeypatch.setattr(os, "umask", None)
-    path = save_states(tmp_path / "tracks.npz", some_states())
-    assert path.stat().st_mode == (tmp_path / "plain").stat().st_mode
 
 
 # -- round trips ------------------------------------------------------------------------------------------------------------
@@ -144,13 +131,21 @@ def test_bad_episodes_are_not_written(tmp_path, changes, says):
 )
 def test_states_come_back_to_the_last_bit(tmp_path, clouds):
     states = track(clouds, alpha=0.1) if clouds else []
-    again = load_states(save_states(tmp_path / "states.npz", states))
-    assert [(s.frame, s.time, s.parameters) for s in again] == [(s.frame, s.time, s.parameters) for s in states]
+    again = load_states(save_states(tmp_path / "states.npz", states), clouds)
+    assert [(s.frame, s.time) for s in again] == [(s.frame, s.time) for s in states]
     for one, other in zip(states, again, strict=True):
+        assert {**one.parameters, "dropped": 0} == other.parameters
         for loop, same in zip(one.loops, other.loops, strict=True):
             names = [field.name for field in dataclasses.fields(loop) if field.name != "_curve"]
             for name in [*names, "cycle", "cycle_points"]:
                 np.testing.assert_array_equal(getattr(loop, name), getattr(same, name))
+
+
+def test_states_of_other_clouds_are_refused(tmp_path):
+    path = save_states(tmp_path / "states.npz", some_states())
+    for clouds in ([polygon(20)], [polygon(20), polygon(9)]):
+        with pytest.raises(FormatError, match=r"states\.npz: .*clouds?"):
+            load_states(path, clouds)
 
 
 # -- files that are damaged, or something else --------------------------------------------------------------------------------
@@ -158,7 +153,7 @@ def test_states_come_back_to_the_last_bit(tmp_path, clouds):
 
 def content(path: Path) -> object:
     if path.name == "states.npz":
-        return [state.as_dict() for state in load_states(path)]
+        return [state.as_dict() for state in load_states(path, [polygon(20)] * 2)]
     parts = vars(load_episode(path))
     return {name: np.asarray(value).tolist() if name != "loops" else str(value) for name, value in parts.items()}
 
@@ -181,13 +176,13 @@ def test_a_flipped_bit_is_refused_or_harmless(tmp_path, name):
     assert refused > 0.5 * len(places)
 
 
-def rewritten(path: Path, method: int = zipfile.ZIP_DEFLATED, **changes: bytes) -> Path:
+def rewritten(path: Path, **changes: bytes) -> Path:
     """Replace entries of an archive, CRC-32 and all; `header` is the JSON header."""
     with zipfile.ZipFile(path) as archive:
         entries = {name: archive.read(name) for name in archive.namelist()}
     for name, data in changes.items():
         entries["header.json" if name == "header" else f"{name}.npy"] = data
-    with zipfile.ZipFile(path, "w", method) as archive:
+    with zipfile.ZipFile(path, "w") as archive:
         for name, data in entries.items():
             archive.writestr(name, data)
     return path
@@ -200,56 +195,30 @@ def npy(array: np.ndarray, tmp_path: Path) -> bytes:
     return data
 
 
-def peak_while_refused(path: Path, says: str) -> int:
-    with memory() as peak:
-        with pytest.raises(FormatError, match=says) as caught:
-            load_episode(path)
-        assert str(path) in str(caught.value)
-        return peak()
-
-
-def test_what_is_declared_is_compared_before_memory_is_taken(tmp_path, monkeypatch):
+def test_what_is_declared_is_compared_before_memory_is_taken(tmp_path):
     path = save_episode(tmp_path / "ring.npz", small_episode())
     whole = path.read_bytes()
     with zipfile.ZipFile(path) as archive:
         points = archive.read("points.npy")
-    for shape in (b"(5000000000, 12, 3)", b"(-5, -12, 3)", b"(9000000000, 0, 3)", b"(5, 12, 4)"):
+    for shape in (b"(5000000000, 12, 3)", b"(5, 12, 4)"):
         lying = points.replace(b"(5, 12, 3), }" + b" " * (len(shape) - 10), shape + b", }")
         assert len(lying) == len(points)
-        assert peak_while_refused(rewritten(path, points=lying), "points") < 2_000_000
+        with memory() as peak:
+            with pytest.raises(FormatError, match="points"):
+                load_episode(rewritten(path, points=lying))
+            assert peak() < 2_000_000
         path.write_bytes(whole)
-    for name in ("points.npy", "header.json"):  # the directory of the archive says another size of an entry
-        at = whole.rindex(name.encode()) - 46  # the directory comes last; its record begins 46 bytes before the name
-        for size in (0xFFFFFFF0, 40):
-            path.write_bytes(whole[: at + 24] + size.to_bytes(4, "little") + whole[at + 28 :])
-            assert peak_while_refused(path, "claim to hold|truncated or damaged") < 2_000_000
-    monkeypatch.setenv("TOPOKIT_UNPACKED", str(2**20))
-    path.write_bytes(whole)
-    bomb = npy(np.zeros(80_000_000, np.uint8), tmp_path)
-    assert peak_while_refused(rewritten(path, points=bomb), r"claim to hold 8\d{7}") < 1_000_000
 
 
-def test_pickles_other_packings_and_deep_headers_are_refused(tmp_path):
+def test_pickles_and_other_headers_are_refused(tmp_path):
     path = save_episode(tmp_path / "ring.npz", small_episode())
     whole = path.read_bytes()
     with pytest.raises(FormatError, match="pickle"):
         load_episode(rewritten(path, held=npy(np.array([{}], dtype=object), tmp_path)))
-    path.write_bytes(whole)
-    with pytest.raises(FormatError, match="another method than deflate"):
-        load_episode(rewritten(path, zipfile.ZIP_LZMA))
-    for header in (b"[" * 100_000, b"[]", b"{", b"\xff"):
+    for header in (b"[]", b"{", b"\xff"):
         path.write_bytes(whole)
         with pytest.raises(FormatError, match=r"ring\.npz"):
             load_episode(rewritten(path, header=header))
-
-
-def test_what_is_so_dense_that_it_looks_like_a_bomb_is_read_again(tmp_path, monkeypatch):
-    monkeypatch.setenv("TOPOKIT_UNPACKED", "10000")
-    still = np.zeros((500, 100, 3), np.float32)
-    flat = small_episode(500, points=still, observed=still, actions=still[:, :2], grippers=still[:, :2], loops=())
-    path = save_episode(tmp_path / "still.npz", flat)
-    assert not load_episode(path).points.any()
-    assert path.stat().st_size > 300_000  # it is not packed
 
 
 # -- whole archives whose parts do not fit ------------------------------------------------------------------------------------
@@ -259,7 +228,6 @@ def test_what_is_so_dense_that_it_looks_like_a_bomb_is_read_again(tmp_path, monk
     ("name", "value", "says"),
     [
         ("points", np.zeros((5, 12, 3)), "points .* float64"),
-        ("points", np.zeros((10**9, 0, 3), np.int16), r"\(1000000000, 0, 3\)"),
         ("held", np.ones(5), "held .* float64"),
         ("faces", np.zeros(6, np.int32), r"faces .* \(6,\)"),
         ("centre_line", np.zeros((2, 2), np.int16), "centre_line"),
@@ -293,19 +261,11 @@ def test_parts_of_an_episode_that_do_not_fit_are_named(tmp_path, name, value, sa
 @pytest.mark.parametrize(
     ("name", "value", "says"),
     [
-        ("id", np.zeros((10**9, 0)), r"id.* is empty"),
-        ("id", np.zeros(2), "id is of type float64"),
-        ("birth", np.array(["0.1", "0.1"]), "birth is of type <U3"),
-        ("killer_triangles", np.zeros((2, 2, 3, 3)), "killer_triangles"),
-        ("killer_edge", np.zeros((3, 2), int), r"killer_edge .* \(3, 2\)"),
-        ("n_cycle", np.array([2, -1]), "cycle has 40 rows"),
-        ("n_loops", np.array([2, 1]), "n_loops"),
-        ("parameters", [1, 2], "parameters"),
-        ("parameters", [], "track them again"),
-        *(
-            (name, None, f"'{name}'")
-            for name in ("birth", "neighbour_ids", "n_neighbours", "n_loops", "cycle", "frame")
-        ),
+        ("id", np.zeros((2, 1)), "id is of type float64"),
+        ("values", np.zeros((2, 1, 6)), "values"),
+        ("simplices", np.zeros((3, 1, 22), np.uint16), "simplices"),
+        ("simplices", np.full((2, 1, 22), 65535, np.uint16), "65535"),
+        ("values", None, "'values'"),
     ],
 )
 def test_parts_of_states_that_do_not_fit_are_named(tmp_path, name, value, says):
@@ -313,10 +273,8 @@ def test_parts_of_states_that_do_not_fit_are_named(tmp_path, name, value, says):
     header, arrays = load_archive(path, STATES)
     if value is None:
         arrays.pop(name)
-    elif isinstance(value, np.ndarray):
-        arrays[name] = value
     else:
-        header[name] = value
+        arrays[name] = value
     save_archive(path, STATES, header, arrays)
     with pytest.raises(FormatError, match=says):
-        load_states(path)
+        load_states(path, [polygon(20)] * 2)

@@ -51,7 +51,8 @@ def test_each_item_has_a_process_of_its_own_and_an_error_is_an_outcome():
 
 
 @pytest.mark.parametrize(
-    ("what", "says"), [("crash", "SIGSEGV"), ("kill", "SIGKILL"), ("leave", "exit code 3"), ("hang", "no sign of life")]
+    ("what", "says"),
+    [("crash", "signal 11"), ("kill", "signal 9"), ("leave", "exit code 3"), ("hang", "no sign of life")],
 )
 def test_what_fails_costs_one_item(what, says):
     outcomes = dict(in_fresh_processes(do, ["a", what, "b"], n_workers=2, time_limit=5))
@@ -90,9 +91,9 @@ def test_a_script_is_not_run_again_nor_a_module_of_the_working_directory(tmp_pat
 
 def test_a_simulation_that_hangs_says_where(monkeypatch):
     apron = WARDROBE["apron"](spacing=0.05, strap_width=0.05)
-    config = SimulationConfig(frames=2, steps_per_frame=300_000, settle=0)
-    with pytest.raises(SimulationError, match="after frame 0: stopped: no sign of life for 3 s"):
-        simulate(apron, config=config, n_observed=50, time_limit=3)
+    config = SimulationConfig(frames=2, steps_per_frame=3_000_000, settle=0)
+    with pytest.raises(SimulationError, match="after frame 0: stopped: no sign of life for 20 s"):
+        simulate(apron, config=config, n_observed=50, time_limit=20)
 
 
 def test_ctrl_c_stops_the_processes(tmp_path, ctrl_c):
@@ -102,19 +103,10 @@ def test_ctrl_c_stops_the_processes(tmp_path, ctrl_c):
         wait_until(pids.exists)
         os.kill(os.getpid(), signal.SIGINT)
 
-    environment = dict(os.environ)
     threading.Thread(target=interrupt, daemon=True).start()
     with pytest.raises(KeyboardInterrupt):
         list(in_fresh_processes(wait, [str(pids)]))
     wait_until(lambda: is_gone(pids.read_text().split()[1]), seconds=10)
-    assert dict(os.environ) == environment
-    assert signal.SIGINT not in signal.pthread_sigmask(signal.SIG_BLOCK, [])
-
-
-def test_a_process_hears_neither_the_keys_of_a_terminal_nor_the_network():
-    command = [sys.executable, "-c", OWNER, str(Path(__file__).parent), "hears", ""]
-    said = subprocess.run(command, capture_output=True, text=True, check=True).stdout
-    assert said == f"[('', ([{signal.SIGHUP:d}, {signal.SIGINT:d}], 0))]\n"
 
 
 @pytest.mark.parametrize("number", [signal.SIGKILL, signal.SIGTERM])

@@ -17,7 +17,7 @@ from pydantic import BeforeValidator, ConfigDict, Field, TypeAdapter, Validation
 from pydantic.dataclasses import dataclass
 from typing_extensions import dataclass_transform
 
-from ._archive import existing, read_json
+from ._archive import existing
 
 T = TypeVar("T")
 
@@ -65,7 +65,7 @@ def from_mapping(kind: type[T], entries: Any, where: str) -> T:
         raise ValueError(f"{where} must be an object with named entries, not {entries!r:.200}")
     try:
         plain = json.dumps(dict(entries), default=str)  # JSON, because its lists may be tuples
-    except (TypeError, ValueError, RecursionError) as error:
+    except (TypeError, ValueError) as error:
         raise ValueError(f"{where}: {error}") from error
     try:
         return TypeAdapter(kind).validate_json(plain)
@@ -77,8 +77,8 @@ def load(kind: type[T], path: str | Path) -> T:
     """Return a checked dataclass that a JSON file holds; errors name the file and the entry."""
     path = existing(path)
     try:
-        entries = read_json(path.read_bytes())
-    except (ValueError, RecursionError) as error:  # nested a thousand deep
+        entries = json.loads(path.read_bytes())
+    except ValueError as error:
         raise ValueError(f"{path}: not JSON: {error}") from error
     return from_mapping(kind, entries, str(path))
 

@@ -16,7 +16,7 @@ import sys
 import tempfile
 import threading
 import time
-from collections.abc import Callable, Iterable, Iterator
+from collections.abc import Callable, Generator, Iterable
 from dataclasses import dataclass, field
 from typing import Any
 
@@ -34,6 +34,7 @@ class _Job:
     item: Any
     failures: list[str] = field(default_factory=list)  # of the tries before
     process: Any = None
+    listener: Any = None  # the thread that reads what the process sends
     deadline: float = math.inf
 
 
@@ -45,7 +46,7 @@ def in_fresh_processes(
     time_limit: float = math.inf,
     tries: int = 1,
     report: Callable[[Any], None] | None = None,
-) -> Iterator[tuple[Any, Any]]:
+) -> Generator[tuple[Any, Any], None, None]:
     """Yield every item with what `function(item)` returned or raised, as they are done, each from a process of its own.
 
     Function, items and answers must be picklable. With `report` the function gets a second argument, a function, and `report` is
@@ -66,7 +67,8 @@ def in_fresh_processes(
                     running.append(job)
                     job.deadline = time.monotonic() + time_limit
                     work = pickle.dumps((function, job.item, report is not None))
-                    threading.Thread(target=_listen, args=(job, work, news), daemon=True).start()
+                    job.listener = threading.Thread(target=_listen, args=(job, work, news), daemon=True)
+                    job.listener.start()
                 # See what has come: a report, an outcome, or the end of a process that sent none.
                 job, kind, value = _next(running, news, time_limit)
                 if job not in running:
@@ -76,7 +78,7 @@ def in_fresh_processes(
                     report(value)
                     continue
                 running.remove(job)
-                job.process.kill()
+                _end(job)
                 if kind == "outcome":
                     yield job.item, value
                     continue
@@ -87,8 +89,13 @@ def in_fresh_processes(
                     yield job.item, ProcessError("; ".join(dict.fromkeys(job.failures)))
         finally:
             for job in running:
-                job.process.kill()
-                job.process.wait()
+                _end(job)
+
+
+def _end(job: _Job) -> None:
+    """End the process of a job, and wait until it is gone."""
+    job.process.kill()
+    job.listener.join()
 
 
 def _start(folder: str) -> subprocess.Popen[bytes]:
@@ -102,16 +109,18 @@ def _start(folder: str) -> subprocess.Popen[bytes]:
 
 def _listen(job: _Job, work: bytes, news: queue.Queue[tuple[_Job, str, Any]]) -> None:
     """Hand a process its work, and pass on what it sends until it ends."""
-    process = job.process
-    try:
-        process.stdin.write(work)
-        process.stdin.flush()  # and stays open: its end tells the process that the caller has ended
-        while True:
-            news.put((job, *pickle.load(process.stdout)))
-    except (EOFError, OSError, pickle.UnpicklingError):
-        code = process.wait()
-        fate = f"ended by signal {-code}: a crash, or out of memory" if code < 0 else f"ended with exit code {code}"
-        news.put((job, "failure", fate))
+    with job.process as process:
+        try:
+            process.stdin.write(work)
+            process.stdin.flush()  # and stays open: its end tells the process that the caller has ended
+            while True:
+                news.put((job, *pickle.load(process.stdout)))
+        except (EOFError, OSError, pickle.UnpicklingError):
+            code = process.wait()
+            fate = f"ended with exit code {code}"
+            if code < 0:
+                fate = f"ended by signal {-code}: a crash, or out of memory"
+            news.put((job, "failure", fate))
 
 
 def _next(running: list[_Job], news: queue.Queue[tuple[_Job, str, Any]], time_limit: float) -> tuple[_Job, str, Any]:

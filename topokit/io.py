@@ -3,16 +3,16 @@
 Positions of an episode are stored as whole ticks of 0.1 mm, so reading costs at most 0.05 mm. Along time they are stored as
 differences, which are small and compress well. With ``a = archive["points"]`` the vertices in metres are
 ``np.cumsum(a, axis=0, dtype=a.dtype) / 10_000``: the type matters, because differences may wrap around.
-States are stored to the last bit. Every text and number that is no array is in the header.
+Tracked states are stored as ids of points and values. Every text and number that is no array is in the header.
 
 Source: the paper's section 6 defines the contents of an episode; the format is ours. Taught in chapters 0 and 11.
 """
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field
-from functools import partial
+from functools import cached_property, partial
 from pathlib import Path
 from typing import Any
 
@@ -21,9 +21,10 @@ from numpy.typing import NDArray
 
 from ._archive import FormatError, load_archive, save_archive
 from ._validate import WrongKindError, as_ids, as_reals
+from .rips import Diagram, rips_persistence
 from .seqph import Loop, TopologicalState
 
-__all__ = ["HISTORY", "HORIZON", "Episode", "FormatError", "load_episode", "load_states", "save_episode", "save_states"]
+__all__ = ["Episode", "FormatError", "load_episode", "load_states", "save_episode", "save_states"]
 
 SCHEMA = 2
 # Frames that a forecast looks back on, and frames that it looks ahead to (Antonova et al. 2021, section 5).
@@ -46,8 +47,7 @@ LOOP_NAMES = {
     "belt": ("loop",),
 }
 EPISODE_KIND = "topokit-episode"
-_STATES_KIND = "topokit-states"
-_STATES_SCHEMA = 3
+ABSENT = 65535  # the point id that stands for "no neighbour"
 _FILMS = ("points", "observed", "actions", "grippers")  # positions, a row a frame
 _POSITIONS = (*_FILMS, "centre_line")
 _TEXT: dict[str, type] = {
@@ -309,7 +309,7 @@ def _check_schema(path: str | Path, header: dict[str, Any], schema: int, remedy:
         )
 
 
-def check_layout(arrays: dict[str, NDArray[Any]], layout: dict[str, str]) -> None:
+def check_layout(arrays: Mapping[str, NDArray[Any]], layout: dict[str, str]) -> None:
     """Raise unless these are the arrays of a layout, each of its kind of number and shape; a letter is one size throughout."""
     unknown = sorted(arrays.keys() - layout.keys())
     if unknown:
@@ -326,105 +326,163 @@ def check_layout(arrays: dict[str, NDArray[Any]], layout: dict[str, str]) -> Non
             raise ValueError(f"{name} is of type {array.dtype} and shape {array.shape}, and does not fit")
 
 
-# Arrays in a file of states. All loops are stored one after another: numbers, arrays of one shape, and arrays whose
-# length varies from loop to loop. An array of its own counts these lengths.
-_FRAMES = {"n_loops": "i t", "frame": "i t", "time": "f t"}
-_LOOP_NUMBERS = {"id": "i n", "birth": "f n", "death": "f n", "killer_shift": "f n"}
-_LOOP_ARRAYS = {
-    "birth_edge": "i n 2",
-    "killer_edge": "i n 2",
-    "killer_triangle_ids": "i n 2 3",
-    "killer_edge_points": "f n 2 d",
-    "killer_triangles": "f n 2 3 d",
-    "killer_values": "f n 2",
-}
-_NEIGHBOURS = {"n_neighbours": "i n", "neighbour_ids": "i m 3", "neighbours": "f m 3 d", "neighbour_values": "f m"}
-_CYCLES = {"n_cycle": "i n", "cycle": "i c", "cycle_points": "f c d"}
-_LOOP_LISTS = {
-    "n_neighbours": ("neighbour_ids", "neighbours", "neighbour_values"),
-    "n_cycle": ("cycle", "cycle_points"),
-}
+# -- loops of tracked states, the form in which files of states and labels of datasets store them ---------------------------
+
+#: The arrays of T frames with S slots, and the columns of their `simplices` and `values`.
+_STATES_LAYOUT = {"id": "i T S", "simplices": "u T S 22", "values": "f T S 7", "parameters": "f T 4"}
+
+
+def state_arrays(states: Sequence[TopologicalState], slots: int) -> dict[str, NDArray[Any]]:
+    """Return the loops of tracked states as arrays of one shape: the form in which states are stored.
+
+    A frame keeps its `slots` longest-lived loops; the others are dropped and counted. Places are ids of points in the cloud that
+    was tracked.
+
+    Returns
+    -------
+    dict
+        Of arrays for T frames: `id` (T, S), -1 for no loop; `simplices` (T, S, 22), the point ids of birth edge, killer edge,
+        killer triangles and neighbours, 65535 for no neighbour; `values` (T, S, 7), birth, death, `killer_shift` and the
+        filtration values of the neighbours; `parameters` (T, 4), alpha, beta, epsilon and the number of loops without a slot.
+    """
+    frames = len(states)
+    arrays: dict[str, NDArray[Any]] = {
+        "id": np.full((frames, slots), -1, dtype=np.int32),
+        "simplices": np.zeros((frames, slots, 22), dtype=np.uint16),
+        "values": np.zeros((frames, slots, 7)),
+        "parameters": np.zeros((frames, 4)),
+    }
+    # Fill one frame after the other: first the parameters, then a slot for each loop.
+    for frame, state in enumerate(states):
+        estimated = [state.parameters[name] for name in ("alpha", "beta", "epsilon")]
+        arrays["parameters"][frame] = [*estimated, max(0, len(state) - slots)]
+        for slot, loop in enumerate(state.loops[:slots]):
+            neighbours = np.full((4, 3), ABSENT)
+            neighbours[: len(loop.neighbour_ids)] = loop.neighbour_ids
+            simplices = (loop.birth_edge, loop.killer_edge, loop.killer_triangle_ids, neighbours)
+            values = [loop.birth, loop.death, loop.killer_shift, *loop.neighbour_values]
+            arrays["id"][frame, slot] = loop.id
+            arrays["simplices"][frame, slot] = np.concatenate([np.ravel(ids) for ids in simplices])
+            arrays["values"][frame, slot, : len(values)] = values
+    return arrays
+
+
+def states_of(
+    arrays: Mapping[str, NDArray[Any]], clouds: Sequence[NDArray[Any]], times: Sequence[float]
+) -> list[TopologicalState]:
+    """Return the tracked states of such arrays, given the clouds (n, d) that were tracked and their times."""
+    states = []
+    for number, (points, time) in enumerate(zip(clouds, times, strict=True)):
+        frame = _Frame(np.asarray(points, dtype=np.float64))
+        slots = np.flatnonzero(arrays["id"][number] >= 0).tolist()
+        loops = tuple(_loop(arrays, (number, slot), frame) for slot in slots)
+        parameters = dict(
+            zip(("alpha", "beta", "epsilon", "dropped"), arrays["parameters"][number].tolist(), strict=True)
+        )
+        states.append(TopologicalState(number, float(time), loops, parameters))
+    return states
+
+
+def _loop(arrays: Mapping[str, NDArray[Any]], frame_and_slot: tuple[int, int], frame: _Frame) -> Loop:
+    """Return the loop in a slot of a frame."""
+    simplices = arrays["simplices"][frame_and_slot].astype(np.int64)
+    neighbours = simplices[10:].reshape(4, 3)
+    neighbours = neighbours[neighbours[:, 0] != ABSENT]
+    birth, death, killer_shift, *neighbour_values = arrays["values"][frame_and_slot].tolist()
+    return Loop.from_cloud(
+        frame.points,
+        partial(frame.cycle, simplices[:4].tolist()),
+        id=int(arrays["id"][frame_and_slot]),
+        birth=birth,
+        death=death,
+        killer_shift=killer_shift,
+        birth_edge=simplices[:2],
+        killer_edge=simplices[2:4],
+        killer_triangle_ids=simplices[4:10].reshape(2, 3),
+        neighbour_ids=neighbours,
+        neighbour_values=np.array(neighbour_values[: len(neighbours)]),
+    )
+
+
+@dataclass(frozen=True)
+class _Frame:
+    """A tracked cloud; its persistence is computed once, when the first cycle of a loop is needed."""
+
+    points: NDArray[np.float64]
+
+    @cached_property
+    def diagram(self) -> Diagram:
+        """Return the persistence diagram of the cloud."""
+        return rips_persistence(self.points)
+
+    def cycle(self, edges: list[int]) -> NDArray[np.int64]:
+        """Return the cycle of the loop with this birth edge and killer edge, four point ids."""
+        diagram = self.diagram
+        edges_of_loops = np.column_stack([diagram.birth_edge, diagram.killer_edge]).tolist()
+        if edges not in edges_of_loops:
+            raise LookupError(
+                "the tracker left points of this cloud out, so its cycle is not stored: track the cloud again"
+            )
+        return diagram.cycle(edges_of_loops.index(edges))
 
 
 def save_states(path: str | Path, states: Sequence[TopologicalState]) -> Path:
-    """Write tracked states to a file in one piece; `load_states` gives the same states back, to the last bit.
+    """Write tracked states to a file in one piece; `load_states` reads them, given the clouds that were tracked.
+
+    The arrays are those of the labels of a dataset (`state_arrays`), with a slot for each loop.
 
     Parameters
     ----------
     path : path
         Name of the file, which ends in .npz.
     states : sequence of TopologicalState
-        States to store. The cycles of their loops are computed and stored with them.
+        States to store, of clouds of fewer than 65,535 points.
 
     Raises
     ------
     ValueError
         When the name does not end in .npz.
-    LookupError
-        When a loop has no cycle, because it was not tracked.
     """
-    # The loops of all states are stored one after another, a row each.
-    loops = [loop for state in states for loop in state.loops]
-    arrays = {name: np.array([getattr(loop, name) for loop in loops]) for name in _LOOP_NUMBERS | _LOOP_ARRAYS}
-    # Arrays that vary in length from loop to loop are joined too, and their lengths are stored.
-    for count, names in _LOOP_LISTS.items():
-        for name in names:
-            arrays[name] = np.concatenate([getattr(loop, name) for loop in loops] or [np.empty(0)])
-        arrays[count] = np.array([len(getattr(loop, names[0])) for loop in loops], dtype=np.int64)
-    # The states themselves: numbers of loops, frames and times.
-    arrays["n_loops"] = np.array([len(state) for state in states], dtype=np.int64)
-    arrays["frame"] = np.array([state.frame for state in states], dtype=np.int64)
+    slots = max((len(state) for state in states), default=0)
+    arrays = state_arrays(states, slots)
     arrays["time"] = np.array([state.time for state in states], dtype=np.float64)
-    header = {"schema": _STATES_SCHEMA, "parameters": [state.parameters for state in states]}
-    return save_archive(path, _STATES_KIND, header, arrays)
+    return save_archive(path, "topokit-states", {"schema": 4}, arrays)
 
 
-def load_states(path: str | Path) -> list[TopologicalState]:
+def load_states(path: str | Path, clouds: Sequence[NDArray[Any]]) -> list[TopologicalState]:
     """Read states that `save_states` wrote.
+
+    Parameters
+    ----------
+    path : path
+    clouds : sequence of (n, d) arrays
+        The clouds that were tracked, whose points the stored ids name.
 
     Raises
     ------
     FileNotFoundError
         When there is no such file.
     FormatError
-        When the file is empty, damaged, of another format or of another schema; the message names the reason.
+        When the file is damaged, of another format or schema, or of other clouds; the message names the reason.
     """
-    header, arrays = load_archive(path, _STATES_KIND)
-    _check_schema(path, header, _STATES_SCHEMA, "track them again")
+    header, arrays = load_archive(path, "topokit-states")
+    _check_schema(path, header, 4, "track them again")
     try:
-        check_layout(arrays, _FRAMES | _LOOP_NUMBERS | _LOOP_ARRAYS | _NEIGHBOURS | _CYCLES)
-        loops = _loops(arrays)
-        parameters = header["parameters"]
-        if not all(isinstance(one, dict) for one in parameters):
-            raise TypeError("parameters without names")
-        frames = _split(np.arange(len(loops)), arrays["n_loops"], "n_loops")
-        rows = zip(arrays["frame"].tolist(), arrays["time"].tolist(), frames, parameters, strict=True)
-        return [
-            TopologicalState(frame, time, tuple(loops[i] for i in numbers.tolist()), options)
-            for frame, time, numbers, options in rows
-        ]
-    except (KeyError, TypeError, ValueError, IndexError) as error:
-        raise FormatError(f"{path}: states with a missing or an unknown part: {error}; track them again") from error
+        times = arrays.pop("time")
+        check_states(arrays, clouds)
+        return states_of(arrays, clouds, times)
+    except (KeyError, ValueError, IndexError) as error:
+        raise FormatError(f"{path}: {error}; track the clouds again") from error
 
 
-def _loops(arrays: dict[str, NDArray[Any]]) -> list[Loop]:
-    """Return all loops of all frames."""
-    columns: dict[str, Any] = {name: arrays[name].tolist() for name in _LOOP_NUMBERS}
-    columns |= {name: arrays[name] for name in _LOOP_ARRAYS}
-    for count, names in _LOOP_LISTS.items():
-        columns |= {name: _split(arrays[name], arrays[count], name) for name in names}
-    cycles = zip(columns.pop("cycle"), columns.pop("cycle_points"), strict=True)
-    loops = []
-    for i, cycle in zip(range(len(arrays["id"])), cycles, strict=False):
-        values = {name: column[i] for name, column in columns.items()}
-        loops.append(Loop(**values, _curve=partial(tuple, cycle)))
-    return loops
-
-
-def _split(rows: NDArray[Any], counts: NDArray[Any], name: str) -> list[NDArray[Any]]:
-    """Return the rows divided into consecutive runs, whose lengths are `counts`."""
-    if (counts < 0).any() or counts.sum() != len(rows):
-        raise ValueError(f"{name} has {len(rows)} rows, and the stored counts add up to another number")
-    if not len(counts):
-        return []
-    return np.split(rows, np.cumsum(counts)[:-1])
+def check_states(arrays: Mapping[str, NDArray[Any]], clouds: Sequence[NDArray[Any]]) -> None:
+    """Raise ValueError unless arrays of states have their layout and name points of these clouds."""
+    check_layout(arrays, _STATES_LAYOUT)
+    if len(arrays["id"]) != len(clouds):
+        raise ValueError(f"it has {len(arrays['id'])} frames, and {len(clouds)} clouds are given")
+    for frame, cloud in enumerate(clouds):
+        simplices = arrays["simplices"][frame][arrays["id"][frame] >= 0]
+        # Only neighbours may be absent: the first ten ids of a loop are its edges and killer triangles.
+        point_ids = np.append(simplices[simplices != ABSENT], simplices[:, :10])
+        if point_ids.max(initial=0) >= max(len(cloud), 1):
+            raise ValueError(f"frame {frame} names point {point_ids.max()}, and its cloud has {len(cloud)} points")

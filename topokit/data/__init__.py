@@ -8,7 +8,6 @@ from typing import TYPE_CHECKING
 from topokit._lazy import attach
 
 if TYPE_CHECKING:
-    from ._check import check_dataset
     from ._dataset import Dataset
     from ._generate import generate_dataset
     from ._label import label_dataset

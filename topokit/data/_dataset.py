@@ -13,12 +13,12 @@ from pydantic import Field
 
 from topokit._config import checked
 from topokit._validate import whole
-from topokit.io import EPISODE_KIND, Episode, load_episode
+from topokit.io import EPISODE_KIND, Episode, load_episode, states_of
 from topokit.seqph import TopologicalState
 
 from ._folder import MOST_EPISODES, NotNegative, NumberedFiles, read_settings
 from ._labels import ABOUT as ABOUT_LABELS
-from ._labels import Labels, states_of
+from ._labels import Labels
 from ._recipe import DatasetConfig
 
 ABOUT = "dataset.json"
@@ -139,9 +139,7 @@ class Dataset(NumberedFiles):
         labels = self.labels(name)
         film = self[episode]
         cloud = labels.cloud(film)
-        arrays = labels.arrays(episode)
-        labels.check_fit(episode, arrays, *cloud.shape[:2])
-        return states_of(arrays, cloud, film.dt)
+        return states_of(labels.arrays(episode, cloud), cloud, film.times)
 
     def split(
         self, by: str = "episode", shares: Mapping[str, float] = _PARTS, *, seed: int = 0, held_out: Sequence[str] = ()

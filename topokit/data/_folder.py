@@ -29,7 +29,7 @@ from numpy.typing import NDArray
 from pydantic import Field
 
 from topokit import __version__
-from topokit._archive import FormatError, atomic_file, existing, load_header, read_json
+from topokit._archive import FormatError, atomic_file, existing, load_header
 from topokit._config import checked, from_mapping
 from topokit._validate import whole
 
@@ -123,7 +123,7 @@ class NumberedFiles:
             if not path.is_file():
                 raise KeyError(f"{self.folder} has no episode {number}")
             try:
-                document = dict(read_json(existing(path).read_bytes()))
+                document = dict(json.loads(existing(path).read_bytes()))
             except (ValueError, TypeError) as error:
                 raise FormatError(f"{path}: damaged ({error}); remove it, and the same command goes on") from error
         known = {f.name: document[f.name] for f in fields(Record) if f.name in document}
@@ -185,7 +185,7 @@ def write_json(path: Path, document: Mapping[str, Any]) -> None:
 def read_settings(kind: type[Any], path: Path) -> Any:
     """Return the settings of a folder, a checked dataclass, from its JSON file."""
     try:
-        return from_mapping(kind, read_json(existing(path).read_bytes()), "it")
+        return from_mapping(kind, json.loads(existing(path).read_bytes()), "it")
     except ValueError as error:
         raise FormatError(f"{path}: not what topokit writes there: {error}") from error
 
@@ -201,7 +201,7 @@ def begin(folder: Path, about: str, settings: Mapping[str, Any]) -> None:
     path = folder / about
     # A folder that was begun goes on with the same settings only; any other must be empty.
     if path.is_file():
-        old = read_json(path.read_bytes())
+        old = json.loads(path.read_bytes())
         _refuse_other(old, dict(settings), str(folder))
         if settings.get("episodes", 0) < old.get("episodes", 0):
             raise ValueError(f"{folder} has {old['episodes']} episodes; it cannot shrink to {settings['episodes']}")

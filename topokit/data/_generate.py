@@ -25,11 +25,10 @@ from ._folder import (
     versions_of,
     write_json,
 )
-from ._jobs import Workers, make_files
+from ._jobs import make_files
 from ._recipe import DatasetConfig, checked_file, make_episode, pinned
 
 _PACKAGES = ("numpy", "scipy", "pybullet")  # the versions of these are recorded, since the bytes depend on them
-_PRELOAD = ("topokit.data._generate",)  # imported once by the fork server, so that fresh processes start quickly
 
 
 def generate_dataset(
@@ -38,7 +37,6 @@ def generate_dataset(
     episodes: int,
     seed: int,
     *,
-    scheduler: str | None = None,
     n_workers: int | None = None,
     time_limit: float = 600.0,
     retry_failed: bool = False,
@@ -53,14 +51,11 @@ def generate_dataset(
     ----------
     config : DatasetConfig
     out : path
-        A folder on a local disk, or on a disk that all workers share. Finished episodes in it are kept.
+        A folder. Finished episodes in it are kept.
     episodes : int
         Final number of episodes of the dataset; a larger number than before adds episodes.
     seed : int
         Seed of the dataset, from which the seeds of the episodes are drawn.
-    scheduler : str, optional
-        Address of a Dask scheduler whose workers see the same folder. When not given, processes of this machine work. Whoever
-        reaches a scheduler runs code on it: use a ``tls://`` address, with the certificates of Dask's own settings.
     n_workers : int, optional
         Number of processes on this machine; one for each core when not given.
     time_limit : float
@@ -91,7 +86,6 @@ def generate_dataset(
         if isinstance(number, bool) or not isinstance(number, int) or not least <= number <= most:
             raise ValueError(f"{name} must be a whole number from {least} to {most:,}, not {number!r}")
     positive(time_limit, "time_limit", zero=False)
-    workers = Workers(scheduler, n_workers, time_limit, _PRELOAD)
     # Begin the folder, or check that it was begun with the same configuration, seed and versions.
     folder = Path(out)
     about = {"schema": 2, "config": pinned(config).to_json(), "seed": seed, "episodes": episodes}
@@ -105,9 +99,8 @@ def generate_dataset(
         dataset = Dataset(folder)
     # Make the episodes that are missing.
     missing = [number for number in range(episodes) if not dataset.is_done(number)]
-    make_files(
-        folder, missing, episodes, partial(_make_file, str(folder)), partial(_describe, dataset), workers, progress
-    )
+    job = partial(_make_file, str(folder))
+    make_files(folder, missing, job, partial(_describe, dataset), n_workers, time_limit, progress)
     return Dataset(folder)
 
 

@@ -7,23 +7,26 @@ from __future__ import annotations
 
 import dataclasses
 import inspect
+import math
 import re
 from collections.abc import Mapping
 from functools import partial
 from pathlib import Path
 from typing import Any
 
+import numpy as np
+
 from topokit._archive import save_archive
+from topokit.io import state_arrays
 from topokit.seqph import SeqPH, track
 
 from ._dataset import Dataset
 from ._folder import archive_path, begin, failure_path, refuse_other_versions, versions_of, write_json
-from ._jobs import Workers, make_files
-from ._labels import ABOUT, KIND, Labels, LabelSettings, arrays_of
+from ._jobs import make_files
+from ._labels import ABOUT, KIND, Labels, LabelSettings
 
 _OBSERVATIONS = ("full", "observed", "camera")
 _PACKAGES = ("numpy", "scipy")
-_PRELOAD = ("topokit.data._warm",)
 
 
 def label_dataset(
@@ -33,7 +36,6 @@ def label_dataset(
     name: str | None = None,
     n_points: int | None = None,
     options: Mapping[str, Any] | None = None,
-    scheduler: str | None = None,
     n_workers: int | None = None,
     progress: bool = True,
 ) -> Labels:
@@ -74,7 +76,6 @@ def label_dataset(
         name = observation if n_points is None else f"{observation}-{n_points}"
     if not re.fullmatch(r"[A-Za-z0-9][A-Za-z0-9._-]*", name):
         raise ValueError(f"name {name!r} of labels: letters, digits, dots, hyphens and underscores only")
-    workers = Workers(scheduler, n_workers, preload=_PRELOAD)
     target = dataset.folder / "labels" / name
     if not target.resolve().is_relative_to(dataset.folder.resolve()):
         raise ValueError(f"{target}: a link leads out of the dataset, and labels are written into it alone")
@@ -82,7 +83,7 @@ def label_dataset(
     labels = Labels(target)
     missing = [number for number in dataset.episodes.tolist() if not labels.is_done(number)]
     job = partial(_label_episode, str(dataset.folder), name)
-    make_files(target, missing, len(dataset.episodes), job, partial(_describe, dataset), workers, progress)
+    make_files(target, missing, job, partial(_describe, dataset), n_workers, math.inf, progress)
     return Labels(target)
 
 
@@ -122,7 +123,10 @@ def _label_episode(folder: str, name: str, number: int) -> str:
         write_json(failure_path(labels.folder, number), {**described, "status": "failed", "reason": str(error)})
         return "failed"
     header = {**described, "frames": len(states)}
-    save_archive(archive_path(labels.folder, number), KIND, header, arrays_of(states))
+    arrays = state_arrays(states, 8)
+    for name in ("values", "parameters"):
+        arrays[name] = arrays[name].astype(np.float32)
+    save_archive(archive_path(labels.folder, number), KIND, header, arrays)
     return "ok"
 
 

@@ -17,12 +17,12 @@ import torch
 from numpy.typing import ArrayLike, NDArray
 
 from topokit._validate import whole
-from topokit.io import HISTORY, HORIZON, TICKS, Episode, as_metres, as_ticks
+from topokit.io import ABSENT, HISTORY, HORIZON, TICKS, Episode, as_metres, as_ticks, state_arrays
 from topokit.sampling import farthest_point_sample
 from topokit.seqph import track
 
 from ._dataset import Dataset
-from ._labels import ABSENT, SIMPLICES, arrays_of, cloud_of
+from ._labels import cloud_of
 
 Array = NDArray[np.float32]
 Ticks = NDArray[np.signedinteger[Any]]
@@ -44,8 +44,8 @@ class _Tracked:
         simplices = arrays["simplices"]
         numbers = arrays["values"]
         frames, slots = simplices.shape[:2]
-        killers = simplices[..., SIMPLICES["killer_triangles"]].reshape(frames, slots, 2, 3)
-        neighbours = simplices[..., SIMPLICES["neighbours"]].reshape(frames, slots, 4, 3)
+        killers = simplices[..., 4:10].reshape(frames, slots, 2, 3)
+        neighbours = simplices[..., 10:].reshape(frames, slots, 4, 3)
 
         # A neighbour that is absent repeats the thick killer triangle, with the value 0.
         absent = neighbours[..., :1] == ABSENT
@@ -312,11 +312,10 @@ class WindowDataset(torch.utils.data.Dataset[dict[str, torch.Tensor]]):
         if self.observe is None:
             labels = self.dataset.labels(self.labels)
             clouds = self._sampled(episode)
-            arrays = labels.arrays(number)
-            labels.check_fit(number, arrays, *tracked_clouds.shape[:2])
+            arrays = labels.arrays(number, tracked_clouds)
         else:
             clouds = tracked_clouds
-            arrays = arrays_of(track(as_metres(clouds), n_jobs=1))
+            arrays = state_arrays(track(as_metres(clouds), n_jobs=1), 8)
         return _Episode(
             clouds[:, np.arange(self.n_points) % clouds.shape[1]],
             as_ticks(episode.grippers),
