@@ -8,7 +8,7 @@ import shutil
 import subprocess
 import sys
 import time
-from collections.abc import Callable, Iterable, Iterator
+from collections.abc import Callable, Generator, Iterable, Iterator
 from contextlib import contextmanager
 from pathlib import Path
 from typing import Any
@@ -48,7 +48,7 @@ def write_cloth(path: Path, *, stretched: float = 1.0) -> dict[str, Any]:
 def in_this_process() -> Iterator[None]:
     """Do the jobs one after another in this process, which has the compiled kernels loaded already."""
 
-    def jobs(job: Any, items: Any, **_: Any) -> Iterator[Any]:
+    def jobs(job: Any, items: Any, **_: Any) -> Generator[Any, None, None]:
         for item in items:
             yield item, job(item)
 

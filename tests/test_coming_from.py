@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import importlib
 import importlib.util
 import json
 import re
@@ -56,14 +57,16 @@ def test_the_pieces_of_a_section_run_one_after_another(section, tmp_path, monkey
     names = {"points": points, "clouds": [points, points[:15]]}
     ran = 0
     for block in re.findall(BLOCK, section, re.DOTALL):
-        needed = imported(block) | ({"rosbags"} if "read_clouds" in block else set())
+        needed = imported(block)
         if not all(map(is_installed, needed)):
             continue
         if "folding" in block:
             write_lerobot(tmp_path / "folding", [points, 1.1 * points])
         if "recording" in block:
-            messages = [cloud_message(ring(t).reshape(6, 10, 3), 1 + t) for t in range(2)]
+            messages = [cloud_message(ring(t), 1 + t) for t in range(2)]
             save_bag(tmp_path / "recording", {"/camera/points": messages, "/other/points": messages})
+        if "pypcd4" in block:
+            importlib.import_module("pypcd4").PointCloud.from_xyz_points(ring()).save(tmp_path / "ring.pcd")
         exec(compile(block, "coming_from.md", "exec"), names)
         check(block, names, points, tmp_path)
         ran += 1

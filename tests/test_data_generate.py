@@ -7,7 +7,6 @@ import dataclasses
 import errno
 import json
 import os
-import shutil
 import signal
 import time
 
@@ -22,20 +21,18 @@ from topokit.data import (
     WindowDataset,
     _folder,
     _jobs,
-    check_dataset,
     generate_dataset,
-    label_dataset,
     make_episode,
 )
 from topokit.io import save_episode
 
-from small_datasets import OPTIONS, SEED, TINY, command, in_this_process, wait_until, write_cloth
+from small_datasets import SEED, TINY, command, wait_until, write_cloth
 
 EPISODES = 12
 
 
 def contents(folder):
-    return {str(path.relative_to(folder)): path.read_bytes() for path in folder.rglob("*") if path.is_file()}
+    return {path.name: path.read_bytes() for path in folder.iterdir() if path.is_file()}
 
 
 def episodes_in(folder):
@@ -45,8 +42,7 @@ def episodes_in(folder):
 def kills_a_job(process):
     """Kill a job of a command, and return whether there was one; jobs end by themselves at any moment."""
     family = psutil.Process(process.pid)
-    servers = family.children()
-    for job in set(family.children(recursive=True)).difference(servers):
+    for job in family.children(recursive=True):
         with contextlib.suppress(psutil.NoSuchProcess):
             job.kill()
             return True
@@ -92,7 +88,6 @@ def test_two_workers_write_the_bytes_of_one_and_more_are_added_to_those_there(un
     assert contents(tmp_path / "data") == contents(undisturbed)
     assert made.counts == {"ok": EPISODES}
     assert made.checksum() == Dataset(undisturbed).checksum()
-    assert check_dataset(tmp_path / "data") == []
 
 
 def test_an_episode_is_what_anyone_simulates(undisturbed, tmp_path):
@@ -104,8 +99,8 @@ def test_an_episode_is_what_anyone_simulates(undisturbed, tmp_path):
 
 
 def test_killed_in_every_way_it_goes_on(undisturbed, tmp_path, monkeypatch, start):
-    """A child killed, the command killed, the command stopped by SIGTERM and by Ctrl-C: each time the same command goes on."""
-    folder, config, temporary = tmp_path / "data", tmp_path / "config.json", tmp_path / ("a long name of a folder " * 4)
+    """A child killed, the command killed, the command stopped by Ctrl-C: each time the same command goes on."""
+    folder, config, temporary = tmp_path / "data", tmp_path / "config.json", tmp_path / "temporary"
     config.write_text(json.dumps(TINY.to_json()))
     temporary.mkdir()
     monkeypatch.setenv("TMPDIR", str(temporary))
@@ -121,47 +116,17 @@ def test_killed_in_every_way_it_goes_on(undisturbed, tmp_path, monkeypatch, star
     process.communicate()
     _, alive = psutil.wait_procs(family, timeout=30)
     assert not alive  # nothing goes on writing
-    problems = check_dataset(folder)
-    assert all("goes on" in problem.what for problem in problems)
     there = episodes_in(folder)
     assert 3 <= there < EPISODES
 
-    for number in (signal.SIGTERM, signal.SIGINT):
-        process = start(*arguments)
-        before = episodes_in(folder)
-        wait_until(lambda before=before: episodes_in(folder) > before, process)
-        if number == signal.SIGINT:
-            os.killpg(process.pid, number)  # as a terminal does
-        else:
-            process.send_signal(number)
-        _, said = process.communicate(timeout=60)
-        assert process.returncode == 128 + number, said
-        assert f"of {EPISODES}" in said
-        assert "Traceback" not in said
+    process = start(*arguments)
+    wait_until(lambda: episodes_in(folder) > there, process)
+    os.killpg(process.pid, signal.SIGINT)  # as a terminal does
+    _, said = process.communicate(timeout=60)
+    assert process.returncode == 130, said
+    assert "Traceback" not in said
     assert main([*map(str, arguments)]) == 0
     assert contents(folder) == contents(undisturbed)
-
-
-def test_a_cluster_whose_worker_is_killed_makes_the_same_bytes(undisturbed, tmp_path, start):
-    distributed = pytest.importorskip("distributed")
-    options = {"n_workers": 2, "threads_per_worker": 1, "dashboard_address": "127.0.0.1:0", "silence_logs": 50}
-    folder, config = tmp_path / "data", tmp_path / "config.json"
-    config.write_text(json.dumps(TINY.to_json()))
-    with distributed.LocalCluster(**options) as cluster, distributed.Client(cluster, set_as_default=False) as client:
-        workers = list(client.run(os.getpid).values())
-        address = cluster.scheduler_address
-        process = start(
-            *("generate", "--config", config, "--out", folder, "--episodes", str(EPISODES), "--seed", str(SEED)),
-            *("--scheduler", address),
-        )
-        wait_until(lambda: episodes_in(folder) >= 2, process)
-        os.kill(workers[0], signal.SIGKILL)
-        _, said = process.communicate(timeout=180)
-        assert process.returncode == 0, said
-        assert contents(folder) == contents(undisturbed)
-        labels = label_dataset(folder, options=OPTIONS, scheduler=address, progress=False)
-    assert labels.counts == {"ok": EPISODES}
-    assert check_dataset(folder) == []
 
 
 def test_what_a_stopped_process_was_writing_is_removed(tmp_path, monkeypatch):
@@ -176,27 +141,6 @@ def test_what_a_stopped_process_was_writing_is_removed(tmp_path, monkeypatch):
     assert [path.name for path in (tmp_path / "data").iterdir()] == ["dataset.json"]
 
 
-@pytest.mark.skipif(os.name != "posix", reason="links")
-def test_labels_follow_no_link_out_of_the_dataset(undisturbed, tmp_path):
-    copy, elsewhere = tmp_path / "data", tmp_path / "elsewhere"
-    shutil.copytree(undisturbed, copy)
-    elsewhere.mkdir()
-    (copy / "labels").symlink_to(elsewhere)
-    with pytest.raises(ValueError, match="labels"):
-        label_dataset(copy, progress=False)
-    assert not list(elsewhere.iterdir())
-
-
-@pytest.mark.parametrize(
-    ("address", "error"), [("tcp://127.0.0.1:9", ConnectionError), ("tls://127.0.0.1:9", ValueError)]
-)
-def test_a_scheduler_that_is_not_there_or_needs_certificates(tmp_path, monkeypatch, address, error):
-    pytest.importorskip("distributed")
-    monkeypatch.setattr(_jobs, "_PATIENCE", 0.5)
-    with pytest.raises(error, match=address):
-        generate_dataset(TINY, tmp_path / "data", 1, SEED, scheduler=address, progress=False)
-
-
 @pytest.mark.parametrize(
     ("changes", "says"),
     [
@@ -206,7 +150,6 @@ def test_a_scheduler_that_is_not_there_or_needs_certificates(tmp_path, monkeypat
         ),
         ({"seed": 6}, f"seed = {SEED}.*seed = 6"),
         ({"episodes": 3}, "cannot shrink to 3"),
-        ({"n_workers": 0}, "n_workers"),
         ({"episodes": 0}, "episodes must be"),
         ({"seed": True}, "seed must be"),
         ({"time_limit": 0}, "time_limit must be"),
@@ -239,11 +182,6 @@ def test_what_was_half_written_is_swept_and_what_does_not_read_is_made_again(und
     (folder / ".00000001.npz.abc.part").write_bytes(b"half")
     (folder / "00000001.npz").write_bytes(whole["00000001.npz"][:1000])
     (folder / "00000002.npz").unlink()
-    assert [problem.where for problem in check_dataset(folder)] == [
-        ".00000001.npz.abc.part",
-        "00000002.npz",
-        "00000001.npz",
-    ]
     generate_dataset(TINY, folder, 3, SEED, progress=False)
     assert contents(folder) == whole
 
@@ -276,14 +214,12 @@ def test_what_is_not_physical_is_recorded_as_rejected(tmp_path):
     dataset = generate_dataset(strict, tmp_path, 2, SEED, progress=False)
     assert dataset.counts == {"rejected": 2}
     assert "stretched beyond" in dataset.failures[0].reason
-    assert check_dataset(tmp_path) == []
 
 
 def test_a_full_disk_is_no_fault_of_the_episode(tmp_path, outcomes):
     outcomes[0] = OSError(errno.ENOSPC, "No space left on device")
-    with pytest.raises(OSError, match="the same command goes on") as full:
+    with pytest.raises(OSError, match="No space left"):
         generate_dataset(TINY, tmp_path, 4, SEED, progress=False)
-    assert full.value.errno == errno.ENOSPC
     assert Dataset(tmp_path).records == ()
 
 
@@ -295,15 +231,12 @@ def test_a_mesh_of_ones_own_from_a_file_to_windows(tmp_path):
     own = {"version": 2, "tasks": {"bag-hook": 1}, "meshes": {"bag": bag}, "simulation": simulation, "n_observed": 48}
     config.write_text(json.dumps(own))
     assert main(["generate", "--config", str(config), "--out", str(folder), "--episodes", "1"]) == 0
-    with in_this_process():
-        label_dataset(folder, options=OPTIONS, progress=False)
     mesh.unlink()
     dataset = Dataset(folder)
     episode = dataset[0]
     assert (episode.garment, episode.task, list(episode.named_loops)) == ("bag", "bag-hook", ["hole"])
     assert dataset.garments == ("bag",)
-    assert check_dataset(folder) == []
-    assert len(WindowDataset(dataset, [0], labels="full", n_points=40)) > 0
+    assert len(WindowDataset(dataset, [0], n_points=40)) > 0
 
     absolute = DatasetConfig.from_json({**own, "meshes": {"bag": {**bag, "file": str(mesh)}}})
     with pytest.raises(FileNotFoundError, match=r"bag\.obj"):

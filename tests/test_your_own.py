@@ -10,7 +10,6 @@ from pathlib import Path
 import numpy as np
 import pytest
 from forecasts import load_evaluation
-from recording import STEPS
 
 pytest.importorskip("pybullet")
 pytest.importorskip("torch")
@@ -19,7 +18,6 @@ from topokit._config import from_mapping
 from topokit.control import Servo
 from topokit.data import DatasetConfig
 from topokit.models import TrainConfig
-from topokit.sensors import Pipeline
 from topokit.sim import WARDROBE, Garment
 
 ROOT = Path(__file__).parents[1]
@@ -46,12 +44,11 @@ def test_the_bib_is_read_in_the_size_that_the_films_have(tmp_path, monkeypatch):
 
 
 def test_the_files_of_the_page_are_valid_and_fit_together(tmp_path):
-    _, evaluation, training, steps = FILES
+    _, evaluation, training = FILES
     (tmp_path / "eval.json").write_text(json.dumps(evaluation))
     assert load_evaluation(tmp_path / "eval.json").shape == from_mapping(TrainConfig, training, "training").shape
     for path in (training["start"], *evaluation["models"]["shipped"]):
         assert (ROOT / path).is_file()
-    assert from_mapping(Pipeline, steps, "steps") == STEPS
 
 
 def test_the_loop_hangs_a_garment_and_stops_when_the_robot_does():

@@ -21,7 +21,7 @@ from PIL import Image
 import topokit as tk
 from topokit import view
 from topokit.io import load_episode
-from topokit.sensors import Cleaner, Pipeline, read_clouds
+from topokit.sensors import Cleaner, read_clouds
 from topokit.sim import Camera, Hook
 
 ROOT = Path(__file__).parents[2]
@@ -32,7 +32,7 @@ LENS = {"fx": FOCAL, "fy": FOCAL, "cx": CAMERA.width / 2, "cy": CAMERA.height / 
 WALL, TABLE = 0.8, 0.1  # metres: the plane y = 0.8 and the plane z = 0.1
 HAND, SLEEVE = 0.03, 0.4  # radius and length of a forearm, metres
 #: The steps of the page: the box leaves out wall, table and most of the hands.
-STEPS = Pipeline(crop=((-0.5, -0.45, 1.3), (0.6, 0.75, 2.45)), voxel=0.012, outliers=2.5)
+STEPS = {"crop": ((-0.5, -0.45, 1.3), (0.6, 0.75, 2.45)), "voxel": 0.012, "outliers": 2.5}
 SHOWN = 18  # image that is drawn
 
 Array = NDArray[np.float64]
@@ -84,8 +84,8 @@ def film() -> NDArray[np.uint16]:
 
 
 def picture(folder: Path) -> Figure:
-    """Return a picture of the film in a folder: an image, and for each pipeline a cloud with its loops and all tracks."""
-    pipelines = {"nothing removed": Pipeline(), "a box": Pipeline(crop=STEPS.crop), "box, voxels, outliers": STEPS}
+    """Return a picture of the film in a folder: an image, and for each choice of steps a cloud with its loops and all tracks."""
+    steps = {"nothing removed": {}, "a box": {"crop": STEPS["crop"]}, "box, voxels, outliers": STEPS}
     figure = Figure(figsize=(11, 5.4), dpi=90, layout="constrained")
     grid = figure.subplots(2, 4, height_ratios=(2, 1), width_ratios=(1.2, 1.2, 1, 1))
     image = np.asarray(Image.open(folder / f"depth_{SHOWN:03d}.png")) / 1000
@@ -96,8 +96,8 @@ def picture(folder: Path) -> Figure:
     for axes in (*grid[0], grid[1, 0]):
         axes.set_axis_off()
     raw = [cloud for _, cloud in read_clouds(folder)]
-    for (name, pipeline), (above, below) in zip(pipelines.items(), grid.T[1:], strict=True):
-        clean = Cleaner(pipeline)
+    for (name, options), (above, below) in zip(steps.items(), grid.T[1:], strict=True):
+        clean = Cleaner(**options)
         clouds = [clean(cloud) for cloud in raw]
         states = tk.track(clouds, times=EVERY * 0.036 * np.arange(len(clouds)))
         x, y, _ = clouds[SHOWN].T
