@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import importlib
 import importlib.util
-import json
 import re
 from pathlib import Path
 
@@ -111,9 +110,3 @@ def test_pieces_that_no_environment_runs_are_marked():
         packages = set().union(*map(imported, re.findall(BLOCK, section, re.DOTALL)))
         if packages & {"rclpy", "lerobot"}:
             assert re.search(r"\*(This node was not run|No test runs this piece)", section)
-
-
-def test_the_table_is_that_of_the_results():
-    doors = pytest.importorskip("doors")  # of book/experiments
-    found = json.loads((ROOT / "book" / "results" / "doors.json").read_text())
-    assert doors.paged(PAGE, found) == PAGE

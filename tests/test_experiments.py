@@ -450,7 +450,6 @@ RUNS = {
     "report": ["book/results/motion.json", "--out", "{folder}"],
     "lemmas_on_cloth": ["data_small/apron_hook_0.npz", "--stride", "60", "--out", "{folder}/r.json"],
     "lemma_search": ["--random", "2", "--optimised", "0", "--json"],
-    "realtime": ["--points", "60", "--frames", "3", "--repeat", "1"],
 }
 
 

@@ -15,16 +15,20 @@ Cloud = NDArray[np.float64]
 EPISODE = Path(__file__).parents[2] / "data_small" / "apron_hook_0.npz"
 
 
+def places_on(corners: Cloud, count: int, rng: np.random.Generator) -> tuple[NDArray[np.int64], Cloud]:
+    """Draw places uniformly on triangles (F, 3, 3); return their triangles and their weights (count, 3)."""
+    area = np.linalg.norm(np.cross(corners[:, 1] - corners[:, 0], corners[:, 2] - corners[:, 0]), axis=1)
+    u, v = np.sort(rng.random((2, count)), axis=0)
+    return rng.choice(len(area), count, p=area / area.sum()), np.column_stack([u, v - u, 1 - v])
+
+
 def apron(n: int, rng: np.random.Generator) -> Cloud:
-    """Return farthest-point samples of a waving sheet with the outline of the recorded apron (above 4,096: random points)."""
+    """Return a farthest-point sample of a waving sheet with the outline of the recorded apron."""
     episode = load_episode(EPISODE)
     corners = episode.points[60][episode.faces].astype(float)
-    area = np.linalg.norm(np.cross(corners[:, 1] - corners[:, 0], corners[:, 2] - corners[:, 0]), axis=1)
-    many = 6 * n if n <= 4096 else n
-    u, v = np.sort(rng.random((2, many)), axis=0)
-    weights = np.column_stack([u, v - u, 1 - v])
-    points = np.einsum("ik,ikd->id", weights, corners[rng.choice(len(area), many, p=area / area.sum())])
-    return points[tk.farthest_point_sample(points, n)[0]] if many > n else points
+    triangle, weights = places_on(corners, 6 * n, rng)
+    points = np.einsum("ik,ikd->id", weights, corners[triangle])
+    return points[tk.farthest_point_sample(points, n)[0]]
 
 
 def torus(n: int, rng: np.random.Generator) -> Cloud:
@@ -44,18 +48,13 @@ def cube(n: int, rng: np.random.Generator) -> Cloud:
     return rng.random((n, 3))
 
 
-def square(n: int, rng: np.random.Generator) -> Cloud:
-    """Draw points uniformly in the unit square of the plane."""
-    return rng.random((n, 2))
-
-
 def sheet(n: int, rng: np.random.Generator) -> Cloud:
     """Draw points uniformly on a waving square without a hole."""
     x, y = rng.random((2, n))
     return np.column_stack([x, y, 0.1 * np.sin(7 * x) * np.cos(5 * y)])
 
 
-SHAPES = {"apron": apron, "torus": torus, "sphere": sphere, "cube": cube, "sheet": sheet, "square": square}
+SHAPES = {"apron": apron, "torus": torus, "sphere": sphere, "cube": cube, "sheet": sheet}
 
 
 def cloud(shape: str, n: int, seed: int = 0) -> Cloud:
@@ -65,7 +64,7 @@ def cloud(shape: str, n: int, seed: int = 0) -> Cloud:
 
 def small_clouds(count: int, n: int = 128) -> list[Cloud]:
     """Return small clouds in space, of all shapes in turn, no two alike."""
-    shapes = [shape for shape in SHAPES if shape != "square"]
+    shapes = list(SHAPES)
     return [cloud(shapes[k % len(shapes)], n, seed=k) for k in range(count)]
 
 
@@ -101,18 +100,11 @@ def in_dimension(axes: int, n: int = 500) -> Cloud:
     return flat @ turned[: flat.shape[1]] + 0.02 * rng.normal(size=(n, axes))
 
 
-def ugly(n: int = 3000) -> dict[str, tuple[Cloud, Cloud]]:
-    """Return clouds with what makes persistence slow, each with a cloud of as many points without it."""
-    rng = np.random.default_rng(0)
-    ring = cloud("torus", n)
-    half = cloud("torus", n // 2)
-    twice = half[rng.integers(0, len(half), n)]
-    some = len(ring) * 3 // 4
-    side = int(np.ceil(n ** (1 / 3)))
-    grid = np.indices((side, side, side)).reshape(3, -1).T[:n].astype(float)
-    return {
-        "a quarter of the points in one place": (np.r_[ring[:some], np.zeros((n - some, 3))], ring),
-        "points nearly repeated": (twice + 1e-9 * rng.normal(size=twice.shape), ring),
-        "two clusters, a million diameters apart": (np.r_[half, half + [2.7e6, 0, 0]], np.r_[half, half + [2.7, 0, 0]]),
-        "a cubic grid": (grid, grid + 0.1 * rng.normal(size=grid.shape)),
-    }
+def film(n: int, frames: int) -> list[Cloud]:
+    """Return clouds of `n` points: a farthest-point sample of places on the first frame's triangles, carried along."""
+    episode = load_episode(EPISODE)
+    corners = episode.points[:frames, episode.faces].astype(float)  # (T, F, 3, 3)
+    triangle, weights = places_on(corners[0], 6 * n, np.random.default_rng(0))
+    points = np.einsum("ik,tikd->tid", weights, corners[:, triangle])
+    chosen, _ = tk.farthest_point_sample(points[0], n)
+    return list(np.ascontiguousarray(points[:, chosen]))

@@ -158,11 +158,8 @@ def ours(data: Array, is_matrix: bool) -> tk.rips.Diagram:
 
 
 def compile_ours() -> None:
-    """Load topokit's kernel, compiled if it is not, by a cloud so large that this pays."""
-    points = np.random.default_rng(0).random((10_000, 2))
-    for n in (10_000, 1000, 100):
-        ours(points[:n], False)
-    tk.farthest_point_sample(points, 100)
+    """Load topokit's kernel, compiled if it is not yet."""
+    ours(np.random.default_rng(0).random((2000, 2)), False)
 
 
 def last_death(data: Array, is_matrix: bool = False) -> float:

@@ -36,7 +36,6 @@ sys.path.append(str(Path(__file__).parent))
 import _rips_clouds as clouds
 import _rips_peers
 import _rips_tables
-import realtime
 
 ROOT = Path(__file__).parents[2]
 RESULTS = ROOT / "book" / "results" / "rips.json"
@@ -48,10 +47,9 @@ Entry = dict[str, Any]
 class Race:
     """A way to take times, and the peers."""
 
-    def __init__(self, repeat: int, patience: float, limit: float) -> None:
+    def __init__(self, repeat: int, patience: float) -> None:
         self.repeat = repeat
         self.patience = patience  # seconds that a peer may take for a cloud
-        self.limit = limit  # seconds that topokit may take for a large cloud
         self.peers = _rips_peers.installed()
 
     def ms(self, function: Callable[[], object]) -> float:
@@ -116,54 +114,16 @@ def first(race: Race) -> Iterator[Entry]:
         yield {"what": what, "points": n, **empty, "cached_ms": cached["ms"]}
 
 
-LARGE = (
-    ("square", 50_000),
-    ("square", 200_000),
-    ("square", 1_000_000),
-    ("cube", 100_000),
-    ("torus", 10_000),
-    ("torus", 20_000),
-    ("apron", 20_000),
-)
-LARGE_CODE = """
-import json, sys, time
-sys.path.append(sys.argv[1])
-import _rips_clouds, _rips_peers
-points = _rips_clouds.cloud(sys.argv[2], int(sys.argv[3]))
-_rips_peers.compile_ours()
-start = time.process_time()
-_rips_peers.ours(points, False)
-ms = 1e3 * (time.process_time() - start)
-peak = next(line for line in open("/proc/self/status") if line.startswith("VmHWM"))  # ru_maxrss is the parent's as well
-print(json.dumps({"ms": ms, "gb": int(peak.split()[1]) / 1e6}))
-"""
-
-
-def large(race: Race) -> Iterator[Entry]:
-    """Large clouds with peak memory, each in a process of its own."""
-    for shape, n in LARGE:
-        entry = child(LARGE_CODE, Path(__file__).parent, shape, n, limit=race.limit)
-        yield {"what": shape, "points": n, **entry}
-
-
-def child(code: str, *arguments: object, limit: float | None = None, **environment: str) -> Entry:
-    """Run code in a fresh process; return the JSON object of its last line, else the time that it took, or its error."""
-    command = [sys.executable, "-c", code, *map(str, arguments)]
+def child(code: str, *arguments: str, **environment: str) -> Entry:
+    """Run code in a fresh process; return the time that it took."""
+    command = [sys.executable, "-c", code, *arguments]
     start = time.perf_counter()
     start_of_processor = processor_time()
-    try:
-        done = subprocess.run(command, capture_output=True, text=True, timeout=limit, env=os.environ | environment)
-    except subprocess.TimeoutExpired:
-        return {"ms": None, "refused": f"more than {limit:g} s"}
-    took = {
+    subprocess.run(command, capture_output=True, check=True, env=os.environ | environment)
+    return {
         "ms": 1e3 * (time.perf_counter() - start),
         "processor_ms": 1e3 * (processor_time() - start_of_processor),
     }
-    if done.returncode:
-        print(done.stderr.splitlines()[-1], file=sys.stderr)
-        return {"ms": None, "refused": done.stderr.splitlines()[-1].split(":")[0]}
-    last = done.stdout.splitlines()[-1] if done.stdout else ""
-    return json.loads(last) if last.startswith("{") else took
 
 
 def processor_time() -> float:
@@ -177,7 +137,7 @@ def batches(race: Race) -> Iterator[Entry]:
     for what, batch in (
         ("clouds of all shapes", clouds.small_clouds(1000)),
         ("one scene under as many plans", clouds.plans(1000)),
-        ("a film of the apron", realtime.film(1000, 96)),
+        ("a film of the apron", clouds.film(1000, 96)),
     ):
         yield {"what": what, **together(race, batch)}
 
@@ -201,12 +161,6 @@ def together(race: Race, batch: Sequence[np.ndarray]) -> Entry:
     }
 
 
-def ugly(race: Race) -> Iterator[Entry]:
-    """Repeated points, far clusters and grids, against clouds of as many points without them."""
-    for what, (bad, plain) in clouds.ugly().items():
-        yield {"what": what, **race.against(bad), "plain_ms": race.ms(lambda plain=plain: tk.rips_persistence(plain))}
-
-
 def spaces(race: Race) -> Iterator[Entry]:
     """Points in many dimensions, rotations, and the projective plane as a matrix."""
     yield {"what": "a torus in 4 dimensions", **race.against(clouds.in_dimension(4))}
@@ -217,19 +171,16 @@ def spaces(race: Race) -> Iterator[Entry]:
 
 def update(race: Race) -> Iterator[Entry]:
     """A frame of the tracker, end to end, and what of it is persistence."""
-    frames = realtime.film(1000, 90)
-    realtime.milliseconds(frames, {})
-    times = [ms for _ in range(race.repeat) for ms, _ in realtime.milliseconds(frames, {})]
+    frames = clouds.film(1000, 90)
+    tracked = race.ms(lambda: tk.track(frames)) / len(frames)
     alone = race.ms(lambda: [tk.rips_persistence(points) for points in frames]) / len(frames)
-    yield {"what": "SeqPH.update", "points": 1000, "ms": statistics.median(times), "persistence_ms": alone}
+    yield {"what": "SeqPH.update", "points": 1000, "ms": tracked, "persistence_ms": alone}
 
 
 ROWS: dict[str, Callable[[Race], Iterable[Entry]]] = {
     "single": single,
     "first": first,
-    "large": large,
     "batches": batches,
-    "ugly": ugly,
     "spaces": spaces,
     "update": update,
 }
@@ -241,7 +192,6 @@ def main() -> int:
     parser.add_argument("--rows", nargs="+", choices=ROWS, default=list(ROWS))
     parser.add_argument("--repeat", type=int, default=3)
     parser.add_argument("--patience", type=float, default=10, help="seconds that a peer may take for a cloud")
-    parser.add_argument("--limit", type=float, default=200, help="seconds that topokit may take for a large cloud")
     parser.add_argument("--json", type=Path, help="also write the figures there, row by row")
     parser.add_argument("--page", action="store_true", help="put the recorded run into book/speed.md, and run nothing")
     options = parser.parse_args()
@@ -251,13 +201,11 @@ def main() -> int:
         return 0
     if hasattr(os, "sched_setaffinity"):
         os.sched_setaffinity(0, {min(os.sched_getaffinity(0))})
-    race = Race(options.repeat, options.patience, options.limit)
+    race = Race(options.repeat, options.patience)
     if missing := set(_rips_peers.NAMES) - set(race.peers):
         print(f"not installed: {', '.join(sorted(missing))}", file=sys.stderr)
     _rips_peers.compile_ours()
-    _rips_peers.ours(
-        clouds.projective_plane(4000), is_matrix=True
-    )  # so large that the kernel for matrices is compiled for it
+    _rips_peers.ours(clouds.projective_plane(1000), is_matrix=True)
     command = " ".join(["python", "book/experiments/rips.py", *sys.argv[1:]])
     for name in options.rows:
         print(f"{name}: {ROWS[name].__doc__}")
