@@ -9,8 +9,6 @@ import pytest
 
 pytest.importorskip("pybullet")
 
-import pybullet
-
 from topokit import rips_persistence
 from topokit._config import from_mapping
 from topokit.sampling import spacing
@@ -54,15 +52,6 @@ def distances(points, triangles):
         above &= (np.cross(along, to) * normal).sum(-1) >= 0
     height = np.abs(((points[:, None] - a) * normal).sum(-1))
     return np.minimum(nearest, np.where(above, height, np.inf).min(axis=1))
-
-
-def test_matrices_are_pybullets_own():
-    camera = Camera(
-        (0.3, -2.0, 1.4), (0.1, 0.2, 0.9), up=(0.1, 0.0, 1.0), fov=40, width=160, height=90, near=0.2, far=5
-    )
-    view, projection = camera.matrices
-    np.testing.assert_allclose(view, pybullet.computeViewMatrix(camera.eye, camera.target, camera.up), atol=1e-6)
-    np.testing.assert_allclose(projection, pybullet.computeProjectionMatrixFOV(40, 160 / 90, 0.2, 5), atol=1e-6)
 
 
 @pytest.mark.parametrize(

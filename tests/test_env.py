@@ -246,18 +246,6 @@ def test_vectors_of_environments():
     alone.close()
 
 
-def test_pictures():
-    env = make(render_mode="rgb_array")
-    with pytest.raises(gymnasium.error.ResetNeeded):
-        env.step(np.zeros(7))
-    env.reset(seed=0)
-    picture = env.render()
-    env.close()
-    assert (picture.shape, picture.dtype) == ((360, 480, 3), np.uint8)
-    assert (picture[..., 2] > picture[..., 0] + 20).mean() > 0.02  # the blue cloth
-    assert make().render() is None
-
-
 @pytest.mark.parametrize(
     ("options", "named"), [({"task": "tie-nail"}, "tie-nail"), ({"task": "shirt-mannequin"}, "neck, hem.*apron")]
 )

@@ -14,13 +14,12 @@ from numpy.typing import NDArray
 from .linking import curve_centroid
 
 Array = NDArray[np.float64]
-_FLAT = 0.7  # least share of a flat loop's area that faces up or down
 
 
 def lies_flat(curve: Array) -> bool:
-    """Return whether a closed curve lies flat, as the tube of a shirt does, which cannot go over an arm."""
+    """Return whether 70 % of a closed curve's area faces up or down, as the tube of a shirt does; no arm goes through it."""
     area = _area(curve)
-    return bool(abs(area[2]) > _FLAT * np.linalg.norm(area))
+    return bool(abs(area[2]) > 0.7 * np.linalg.norm(area))
 
 
 def _area(curve: Array) -> Array:

@@ -14,7 +14,7 @@ from topokit._progress import show_progress
 from topokit.io import Episode
 from topokit.sim import Garment, HangEnv, Hanger, Hook, Mannequin, Task
 
-from ._planner import Carried, MotionForecaster, Planner
+from ._planner import Carried, Planner
 from ._servo import Servo
 
 
@@ -90,7 +90,7 @@ def hang(
         env.close()
 
 
-def _forecast(model: Any) -> MotionForecaster:
+def _forecast(model: Any) -> Any:
     """Return the forecaster for the argument `model` of `hang`."""
     if model == "carry":
         return Carried()

@@ -13,7 +13,7 @@ from __future__ import annotations
 
 from collections.abc import Mapping
 from dataclasses import dataclass
-from typing import Any, Protocol
+from typing import Any
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
@@ -49,19 +49,6 @@ class PlannerOptions(ServoOptions):
     low_costs: float = 2.0  #: metres for a metre below the tip when the arm is near
 
 
-class MotionForecaster(Protocol):
-    """The interface of a forecaster of motion for plans, such as `topokit.models.MotionPredictor`."""
-
-    def reset(self) -> None:
-        """Forget everything observed."""
-
-    def observe(self, points: ArrayLike, grippers: ArrayLike, held: bool, target: ArrayLike) -> None:
-        """Take in the next frame: points (n, 3), grippers (2, 3), and the target's centre line (L, 3)."""
-
-    def move(self, actions: ArrayLike, held: ArrayLike | None, points: ArrayLike) -> tuple[Any, Any]:
-        """Return places (C, 60, n, 3) of points (n, 3) under C plans (C, 60, 2, 3) of the grippers, and their errors or None."""
-
-
 class Carried:
     """The forecaster for which cloth goes with the grippers as a rigid body: with their middle, and about the vertical."""
 
@@ -87,9 +74,8 @@ class Planner(Servo):
 
     Parameters
     ----------
-    forecast : MotionForecaster, optional
-        A `topokit.models.MotionPredictor`, or an object of one's own with its methods `reset`, `observe` and `move`. When not
-        given, the cloth is carried along as a rigid body.
+    forecast : optional
+        A `topokit.models.MotionPredictor`, or an object of one's own with the methods of `Carried`, the default.
     n_loops : int
     radius : float
     max_step : float
@@ -108,7 +94,7 @@ class Planner(Servo):
 
     def __init__(
         self,
-        forecast: MotionForecaster | None = None,
+        forecast: Any = None,
         n_loops: int = 1,
         *,
         radius: float = 0.02,

@@ -45,20 +45,6 @@ class Camera:
         right /= np.linalg.norm(right)
         return np.array([right, np.cross(right, forward), forward])
 
-    @property
-    def matrices(self) -> tuple[list[float], list[float]]:
-        """Return OpenGL's view and projection matrices, column by column, as PyBullet's renderer takes them."""
-        axes = self.axes * [[1], [1], [-1]]  # OpenGL looks along -z
-        view = np.eye(4)
-        view[:3, :3] = axes
-        view[:3, 3] = -axes @ self.eye
-        scale = 1 / np.tan(np.radians(self.fov) / 2)
-        depth_range = self.near - self.far
-        projection = np.diag([scale * self.height / self.width, scale, (self.near + self.far) / depth_range, 0.0])
-        projection[2, 3] = 2 * self.near * self.far / depth_range
-        projection[3, 2] = -1.0
-        return view.T.ravel().tolist(), projection.T.ravel().tolist()
-
     def depths(self, buffer: ArrayLike) -> Array:
         """Return the depths (h, w), in metres along the view, of a depth buffer; inf where nothing is seen.
 

@@ -32,19 +32,18 @@ from ._world import SimulationConfig, SimulationError, World, check_stretch
 
 Observation = dict[str, Any]
 _FARTHEST = 4.0  # metres: observed coordinates are clipped to this distance from the origin
-_LEASH = 0.2  # metres: a goal leads its gripper by at most this along an axis; taut cloth holds a gripper back
 
 
 class HangEnv(gymnasium.Env[Observation, NDArray[np.float32]]):
     """Carry a garment to its target with two grippers, hang it there, and let go.
 
     Every task of `TASKS` has an id for `gymnasium.make`, which puts the target anywhere: the id of "apron2-hook" is
-    "topokit/HangApron2Hook-v1". Under one version of an id, a seed gives every agent the same start.
+    "topokit/HangApron2Hook-v1".
 
     **Observation**: a dict of float32 arrays in metres, and of two whole numbers:
 
-    - `points` (n_points, 3): farthest-point samples of the garment's vertices, or points that the cameras see of it. While the
-      cameras see no cloth, these are the last points they saw; before any were seen, they are the places of the grippers;
+    - `points` (n_points, 3): farthest-point samples of the garment's vertices, or points that the cameras see of it (while they
+      see no cloth, the last points they saw);
     - `grippers` (2, 3): where the grippers are;
     - `target` (K, 3): the target's centre line;
     - `rods` (R, 7): the shapes of the target and of its stand, as capsules: start, end, radius;
@@ -55,17 +54,13 @@ class HangEnv(gymnasium.Env[Observation, NDArray[np.float32]]):
     **Action**: seven numbers from -1 to 1. The first six are the displacements of the two grippers' goals (x, y, z each), as
     shares of what 1.2 m/s allows in a step. The grippers let go for good when the seventh is above 0.5.
 
-    **Reward**: 1 at success. With the option `reward="topological"` it also has differences of a potential, so that going back
-    and forth earns nothing: the metres by which the task's loops came nearer to the target's seat in this step, and the change
-    of the share of them that are around the target, by linking number.
+    **Reward**: 1 at success. With `reward="topological"` also the metres by which the task's loops came nearer to the target's
+    seat in this step, and the change of the share of them that are around the target, by linking number.
 
     An episode **terminates** when the garment has been free for half a second and is at rest: with success if the task's
     loops are on the target, otherwise as dropped. It also terminates when the garment is torn, that is, stretched too far. It is
-    **truncated** after `max_steps`. `info` holds `success`, `dropped`, `torn`, and the two parts of the potential: the share of
-    loops that are `linked`, and the `distance`.
-
-    The attributes `vertices` (V, 3), `goal` (2, 3) of the grippers, `target` and `world` are for evaluation, not for agents.
-    Wrappers of Gymnasium spoil what is observed, or what is done (`book/experiments/disturbances.py`).
+    **truncated** after `max_steps`. `info` holds `success`, `dropped`, `torn`, the share of loops that are `linked`, and their
+    `distance` from the seat. Wrappers of Gymnasium spoil what is observed, or done (`book/experiments/disturbances.py`).
 
     Parameters
     ----------
@@ -86,12 +81,9 @@ class HangEnv(gymnasium.Env[Observation, NDArray[np.float32]]):
         micrometre, but not bit by bit.
     max_steps : int
         A step takes `config.frame_time` seconds.
-    render_mode : str, optional
-        With `"rgb_array"`, `render()` returns a picture (360, 480, 3) uint8.
     """
 
-    metadata = {"render_modes": ["rgb_array"], "render_fps": 28}  # noqa: RUF012
-    world: World | None = None
+    world: World
 
     def __init__(
         self,
@@ -105,7 +97,6 @@ class HangEnv(gymnasium.Env[Observation, NDArray[np.float32]]):
         cameras: Sequence[Camera] = (),
         config: SimulationConfig | None = None,
         max_steps: int = 200,
-        render_mode: str | None = None,
     ) -> None:
         self.task, self.garment, self.target = resolved(task, garment, target)
         self.place = place
@@ -115,7 +106,6 @@ class HangEnv(gymnasium.Env[Observation, NDArray[np.float32]]):
         self.config = config or replace(usual_config(self.garment), self_collision=False)
         self.max_step = 1.2 * self.config.frame_time  # metres, at 1.2 m/s along an axis
         self.max_steps = max_steps
-        self.render_mode = render_mode
         # The spaces of actions and of observations.
         self.action_space = spaces.Box(-1.0, 1.0, (7,), np.float32)
         self._wanted_loops = list(self.task.wanted(self.garment.named_loops).values())
@@ -163,7 +153,8 @@ class HangEnv(gymnasium.Env[Observation, NDArray[np.float32]]):
         observation = self._observe()
         self._seed = -1 if seed is None else seed
         self._record = [(self.vertices, observation["grippers"], self.goal, True)]
-        return observation, self._info()
+        info = {"success": False, "dropped": False, "torn": False}
+        return observation, {**info, "linked": self._linked, "distance": self._distance}
 
     def settle(self, world: World) -> None:
         """Let the garment settle between the grippers before the first frame."""
@@ -171,11 +162,23 @@ class HangEnv(gymnasium.Env[Observation, NDArray[np.float32]]):
 
     def step(self, action: ArrayLike) -> tuple[Observation, float, bool, bool, dict[str, Any]]:
         """Move the goals of the grippers, let go if the action says so, and simulate one frame."""
+        world = self.world
         move = np.clip(np.asarray(action, np.float64), -1, 1)
         before = self.vertices
         linked_before = self._linked
         distance_before = self._distance
-        self._advance(self.max_step * move[:6].reshape(2, 3), release=bool(move[6] > 0.5))
+        if move[6] > 0.5 and self._release_step < 0:
+            world.release()
+            self._release_step = self._steps
+        # Move the goals of the grippers, but keep them near the grippers: taut cloth holds a gripper back.
+        start = self.goal
+        grippers = world.grippers()
+        self.goal = np.clip(start + self.max_step * move[:6].reshape(2, 3), grippers - 0.2, grippers + 0.2)
+        # Simulate the steps of the frame, in which the goals move evenly.
+        for share in np.arange(1, self.config.steps_per_frame + 1) / self.config.steps_per_frame:
+            world.step(start + share * (self.goal - start))
+        self._steps += 1
+        self.vertices = world.vertices()
         torn = False
         try:
             check_stretch(self.garment, self.config, self.vertices, f"step {self._steps}")
@@ -193,24 +196,9 @@ class HangEnv(gymnasium.Env[Observation, NDArray[np.float32]]):
         if self.reward == "topological":
             reward += distance_before - self._distance + self._linked - linked_before
         ends = rests or torn
-        info = self._info(success=success, dropped=rests and not success, torn=torn)
+        info = {"success": success, "dropped": rests and not success, "torn": torn}
+        info |= {"linked": self._linked, "distance": self._distance}
         return observation, reward, ends, not ends and self._steps >= self.max_steps, info
-
-    def _advance(self, move: Array, release: bool) -> None:
-        """Simulate one frame."""
-        world = self._running()
-        if self._release_step < 0 and release:
-            world.release()
-            self._release_step = self._steps
-        # Move the goals of the grippers, but keep them near the grippers.
-        before = self.goal
-        grippers = world.grippers()
-        self.goal = np.clip(before + move, grippers - _LEASH, grippers + _LEASH)
-        # Simulate the steps of the frame, in which the goals move evenly.
-        for share in np.arange(1, self.config.steps_per_frame + 1) / self.config.steps_per_frame:
-            world.step(before + share * (self.goal - before))
-        self._steps += 1
-        self.vertices = world.vertices()
 
     def scripted_action(self) -> NDArray[np.float32]:
         """Return the next action along the scripted path of this episode, which usually succeeds as a demonstration."""
@@ -242,47 +230,22 @@ class HangEnv(gymnasium.Env[Observation, NDArray[np.float32]]):
         notes = {"randomisation": None, "controller": controller}
         return as_episode(recording, self.task, self.garment, self.target, config, self._seed, notes)
 
-    def render(self) -> NDArray[np.uint8] | None:
-        """Return a picture of the scene (360, 480, 3), the cloth in blue; None without a render mode."""
-        if self.render_mode is None:
-            return None
-        x, y, z = self.target.seat.tolist()
-        camera = Camera((x - 0.9, y - 1.9, z + 0.2), (x, y - 0.2, z - 0.2), width=480, height=360)
-        depth, cloth = self._running().image(camera)
-        seen = np.isfinite(depth)
-        places = np.full((*depth.shape, 3), np.nan)
-        places[seen] = camera.unproject(depth, seen)
-        # The gradients of the places along rows and columns span the surface; what faces the camera is light.
-        normal = np.cross(np.gradient(places, axis=1), np.gradient(places, axis=0))
-        facing = np.abs(normal @ camera.axes[2]) / np.linalg.norm(normal, axis=-1)
-        light = 0.35 + 0.65 * np.nan_to_num(facing, nan=0.3)[..., None]
-        colour = np.where(cloth[..., None], [60, 150, 215], [190, 190, 190])
-        return np.where(seen[..., None], light * colour, 255).astype(np.uint8)
-
     def close(self) -> None:
         """End the simulation; `reset` starts another."""
-        if self.world is not None:
+        if hasattr(self, "world"):
             self.world.close()
-            self.world = None
-
-    def _running(self) -> World:
-        """Return the world, or raise ResetNeeded."""
-        if self.world is None:
-            raise gymnasium.error.ResetNeeded("call reset() first: the environment has not begun, or was closed")
-        return self.world
 
     def _observe(self) -> Observation:
         """Return the observation, and keep the linked share and the distance of this frame."""
-        world = self._running()
         if self.cameras:
-            cloud = world.observe(self.cameras, self.n_points, self._camera_rng)
+            cloud = self.world.observe(self.cameras, self.n_points, self._camera_rng)
             self._cloud = cloud if len(cloud) else self._cloud
         else:
             self._cloud = self.vertices[farthest_point_sample(self.vertices, self.n_points)[0]]
         self._linked, self._distance = self._progress()
         places = {
             "points": self._cloud,
-            "grippers": world.grippers(),
+            "grippers": self.world.grippers(),
             "target": self.target.centre_line,
             "rods": np.array([[*start, *end, radius] for start, end, radius in self.target.rods]),
             "wanted": self._wanted_places,
@@ -298,13 +261,3 @@ class HangEnv(gymnasium.Env[Observation, NDArray[np.float32]]):
         if self.task.all_loops:
             return sum(linked) / len(linked), float(np.mean(distances))
         return float(any(linked)), min(distances)
-
-    def _info(self, success: bool = False, dropped: bool = False, torn: bool = False) -> dict[str, Any]:
-        """Return the `info` of Gymnasium: how the episode ended, if it did, and the parts of the potential."""
-        return {
-            "success": success,
-            "dropped": dropped,
-            "torn": torn,
-            "linked": self._linked,
-            "distance": self._distance,
-        }

@@ -7,40 +7,28 @@ from collections.abc import Sequence
 from typing import Annotated, Any
 
 import numpy as np
-from pydantic import AfterValidator, BeforeValidator
+from pydantic import BeforeValidator
 
-from topokit._config import NotNegative, Positive, as_tuple, checked
+from topokit._config import as_tuple, checked
 
 from ._camera import Camera
 from ._garments import Garment
 from ._world import SimulationConfig
 
-Bounds = tuple[float, float]
-
-
-def _ordered(bounds: Bounds) -> Bounds:
-    """Return a range, or raise ValueError when its ends are in the wrong order."""
-    if bounds[0] > bounds[1]:
-        raise ValueError("the low end of a range comes first")
-    return bounds
-
-
-Range = Annotated[Bounds, BeforeValidator(as_tuple), AfterValidator(_ordered)]
-PositiveRange = Annotated[tuple[Positive, Positive], BeforeValidator(as_tuple), AfterValidator(_ordered)]
-NotNegativeRange = Annotated[tuple[NotNegative, NotNegative], BeforeValidator(as_tuple), AfterValidator(_ordered)]
+Range = Annotated[tuple[float, float], BeforeValidator(as_tuple)]
 
 
 @checked
 class Randomisation:
     """Ranges (low, high) from which every episode draws its physics, size and cameras; None leaves a number as it is."""
 
-    stiffness: PositiveRange | None = (0.6, 1.0)  #: (2,)
-    bending: PositiveRange | None = (0.0001, 0.003)  #: (2,) drawn on a logarithmic scale
-    damping: NotNegativeRange | None = (0.15, 0.4)  #: (2,)
-    friction: NotNegativeRange | None = (0.6, 1.4)  #: (2,)
-    mass: PositiveRange | None = (0.2, 0.4)  #: (2,)
-    scale: PositiveRange | None = (0.92, 1.08)  #: (2,) factor on all sizes of the garment
-    camera_distance: PositiveRange | None = (0.9, 1.1)  #: (2,) factor on a camera's distance from the place it looks at
+    stiffness: Range | None = (0.6, 1.0)  #: (2,)
+    bending: Range | None = (0.0001, 0.003)  #: (2,) drawn on a logarithmic scale
+    damping: Range | None = (0.15, 0.4)  #: (2,)
+    friction: Range | None = (0.6, 1.4)  #: (2,)
+    mass: Range | None = (0.2, 0.4)  #: (2,)
+    scale: Range | None = (0.92, 1.08)  #: (2,) factor on all sizes of the garment
+    camera_distance: Range | None = (0.9, 1.1)  #: (2,) factor on a camera's distance from the place it looks at
     camera_turn: Range | None = (-15.0, 15.0)  #: (2,) degrees about the vertical through that place
     camera_tilt: Range | None = (-8.0, 8.0)  #: (2,) degrees by which a camera is raised
 
@@ -111,7 +99,7 @@ class Randomisation:
         return {"version": self.version, "ranges": ranges}
 
 
-def _between(bounds: Bounds, share: float, logarithmic: bool = False) -> float:
+def _between(bounds: tuple[float, float], share: float, logarithmic: bool = False) -> float:
     """Return the number at a share of the way from the low to the high end of a range."""
     low, high = bounds
     if logarithmic:

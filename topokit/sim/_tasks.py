@@ -77,32 +77,15 @@ class Task:
         return self.plan(garment, target.unplaced(), rng).placed(target)
 
     def off_script(self, rng: np.random.Generator) -> Task:
-        """Return the same task with a plan that leaves its script by draws of a generator; the path's `drawn` notes them.
-
-        Parameters
-        ----------
-        rng : numpy.random.Generator
-        """
+        """Return the same task with a plan that leaves its script by draws of a generator; the path's `drawn` notes them."""
         return replace(self, plan=functools.partial(_off_script, self.plan, rng))
 
     def wanted(self, loops: Mapping[str, Loop]) -> dict[str, Loop]:
-        """Return the named loops that the task asks for.
-
-        Parameters
-        ----------
-        loops : mapping of str to anything
-            True loops by their names (`named_loops` of a garment, or of an episode).
-        """
+        """Return the loops that the task asks for, of true loops by their names."""
         return {name: loop for name, loop in loops.items() if name in self.loops}
 
     def needed(self, loops: Mapping[str, Loop]) -> int:
-        """Return the number of named loops that must hang: all that the task asks for, or one of them.
-
-        Parameters
-        ----------
-        loops : mapping of str to anything
-            True loops by their names.
-        """
+        """Return the number of loops that must hang, of true loops by their names: all that the task asks for, or one."""
         count = len(self.wanted(loops))
         return count if self.all_loops else min(count, 1)
 

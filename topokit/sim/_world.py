@@ -192,9 +192,12 @@ class World(contextlib.AbstractContextManager["World"]):
 
         The first step must have been taken: before it the renderer draws the cloth in a wrong place.
         """
-        size = (camera.width, camera.height)
+        width = camera.width
+        height = camera.height
+        view = self._p.computeViewMatrix(camera.eye, camera.target, camera.up)
+        projection = self._p.computeProjectionMatrixFOV(camera.fov, width / height, camera.near, camera.far)
         options = {"renderer": self._p.ER_TINY_RENDERER, "shadow": 0}
-        _, _, _, buffer, bodies = self._bullet("getCameraImage", *size, *camera.matrices, **options)
+        _, _, _, buffer, bodies = self._bullet("getCameraImage", width, height, view, projection, **options)
         depth = camera.depths(buffer)
         return depth, (np.reshape(bodies, depth.shape) == self._cloth) & np.isfinite(depth)
 
