@@ -190,8 +190,8 @@ def test_it_hangs_and_the_episode_is_like_any_other(outcome, tmp_path):
 def test_too_few_frames_and_models_are_told_of():
     late = hang("apron-hook", garment=COARSE, seed=1, max_steps=2)
     assert (late.success, late.reason, late.steps) == (False, "it was not let go in time", 2)
-    with pytest.raises(TypeError, match="move"):
-        hang(model=CHECKPOINTS / "mlp.safetensors")
+    with pytest.raises(AttributeError, match="move"):
+        hang("apron-hook", garment=COARSE, seed=1, model=CHECKPOINTS / "mlp.safetensors")
 
 
 def test_a_plan_hangs_it_sooner(outcome):

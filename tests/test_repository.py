@@ -141,7 +141,6 @@ LAYERS = [
         "_geometry",
         "_processes",
         "_config",
-        "_progress",
     },
     {"sampling", "linking", "rips", "_opening"},
     {"mixture"},

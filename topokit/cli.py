@@ -276,7 +276,7 @@ def simulate(
     from .sim import simulate as run_simulation
 
     randomisation = Randomisation() if randomise else None
-    episode = run_simulation(task=task, randomisation=randomisation, progress=True, **options)
+    episode = run_simulation(task=task, randomisation=randomisation, **options)
     save_episode(out, episode)
     return {
         "out": str(out),
@@ -305,7 +305,7 @@ def hang(
 
     if anywhere:
         options["place"] = "anywhere"
-    result = run_hanging(task, progress=True, **options)
+    result = run_hanging(task, **options)
     if out is not None:
         save_episode(out, result.episode)
     if film is not None:

@@ -32,7 +32,7 @@ from tqdm import tqdm
 from chapter_tools.dressing import PullOver
 from chapter_tools.throwing import Fence, Thrower
 from topokit._archive import atomic_file
-from topokit.control import Planner, hang
+from topokit.control import Planner, Servo, hang
 from topokit.io import Episode, save_episode
 from topokit.linking import close_far, linking_number
 from topokit.models import Predictor
@@ -46,7 +46,7 @@ WHO = ("random", "straight", "servo", "hold", "rigid", "carry", "motion", "scrip
 MOTION = Path(__file__).parents[2] / "data_small" / "checkpoints" / "motion.safetensors"
 CAMERA = Camera((-1.3, -1.6, 1.6), (0.0, 0.3, 1.1), width=160, height=120)
 TRIES = 8
-# Options of the environment, of the wrappers in `disturbed`, and of `hang` (pace and cloud_delay).
+# Options of the environment, of the wrappers in `disturbed`, and of the controllers (pace and cloud_delay).
 SCENES: dict[str, dict[str, Any]] = {
     "still": {},
     "all vertices": {"n_points": 10_000},
@@ -188,13 +188,20 @@ def run(task: str, who: str, scene: str, seed: int, steps: int = 0) -> Any:
         return hang(env, seed=seed, controller=Learned(task, steps))
     if task.endswith("-mannequin"):
         return hang(env, seed=seed, controller=PullOver(max_step=env.unwrapped.max_step))
-    if "fence" in options and who != "servo":
+    # The servo has no forecast; the others plan, or throw over a fence.
+    how |= {"radius": radius(task), "max_step": env.unwrapped.max_step}
+    if who == "servo":
+        return hang(
+            env, seed=seed, controller=Servo(needed(task), radius=how["radius"], cloud_delay=how["cloud_delay"])
+        )
+    forecast: Any = {"hold": Hold()}.get(who)
+    if who == "motion":
+        forecast = Predictor.load(MOTION)
+    if "fence" in options:
         kind = Rigid if who == "rigid" else Thrower
-        forecast = Predictor.load(MOTION) if who == "motion" else None
-        throw = kind(forecast, needed(task), fence=options["fence"], seed=seed, radius=radius(task))
+        throw = kind(forecast, needed(task), fence=options["fence"], seed=seed, **how)
         return hang(env, seed=seed, controller=throw)
-    model = {"carry": "carry", "motion": MOTION, "hold": Hold()}.get(who)
-    return hang(env, seed=seed, model=model, **how)
+    return hang(env, seed=seed, controller=Planner(forecast, needed(task), seed=seed, **how))
 
 
 def needed(task: str) -> int:

@@ -10,11 +10,10 @@ from typing import Any
 import gymnasium
 import numpy as np
 
-from topokit._progress import show_progress
 from topokit.io import Episode
 from topokit.sim import Garment, HangEnv, Hanger, Hook, Mannequin, Task
 
-from ._planner import Carried, Planner
+from ._planner import Planner
 from ._servo import Servo
 
 
@@ -38,10 +37,7 @@ def hang(
     target: Hook | Hanger | Mannequin | None = None,
     model: Any = None,
     controller: Any = None,
-    pace: float = 0.6,
-    cloud_delay: int = 0,
     max_steps: int = 300,
-    progress: bool = False,
     **options: Any,
 ) -> Outcome:
     """Hang a garment on a target by its observations, and return the outcome.
@@ -60,14 +56,8 @@ def hang(
         object with the methods of a `topokit.models.MotionPredictor`. With None the `Servo` acts, which needs no forecast.
     controller : optional
         The controller that acts in place of these: an object with the members of a `Servo`.
-    pace : float
-        As in `Planner`; other controllers do not use it.
-    cloud_delay : int
-        As in `Servo`.
     max_steps : int
         Frames after which the episode ends.
-    progress : bool
-        Write the number of frames done to stderr.
     **options
         Options of `topokit.sim.HangEnv`, such as ``place="anywhere"``.
     """
@@ -78,34 +68,30 @@ def hang(
             task = "tote-hook"
         env = HangEnv(task, garment=garment, target=target, max_steps=max_steps, **options)
     scene: HangEnv = env.unwrapped  # type: ignore[assignment]
-    shared: dict[str, Any] = {"radius": scene.target.rods[0][2], "max_step": scene.max_step, "cloud_delay": cloud_delay}
+    radius = scene.target.rods[0][2]
     n_loops = scene.task.needed(scene.garment.named_loops) or 1
     try:
         if controller is None and model is None:
-            controller = Servo(n_loops, **shared)
+            controller = Servo(n_loops, radius=radius, max_step=scene.max_step)
         elif controller is None:
-            controller = Planner(_forecast(model), n_loops, pace=pace, seed=seed, **shared)
-        return _run(env, scene, controller, seed, max_steps, progress)
+            controller = Planner(_forecast(model), n_loops, radius=radius, max_step=scene.max_step, seed=seed)
+        return _run(env, scene, controller, seed, max_steps)
     finally:
         env.close()
 
 
 def _forecast(model: Any) -> Any:
-    """Return the forecaster for the argument `model` of `hang`."""
+    """Return the forecaster for the argument `model` of `hang`; None for the rigid one."""
     if model == "carry":
-        return Carried()
+        return None
     if isinstance(model, str | Path):
         from topokit.models import Predictor
 
-        model = Predictor.load(model)
-    if not hasattr(model, "move"):
-        raise TypeError(f"model must forecast the motion of points, and {type(model).__name__} has no method `move`")
+        return Predictor.load(model)
     return model
 
 
-def _run(
-    env: gymnasium.Env[Any, Any], scene: HangEnv, controller: Any, seed: int, max_steps: int, progress: bool
-) -> Outcome:
+def _run(env: gymnasium.Env[Any, Any], scene: HangEnv, controller: Any, seed: int, max_steps: int) -> Outcome:
     """Run an episode under a controller and return its outcome."""
     observation, info = env.reset(seed=seed)
     controller.reset(observation)
@@ -119,8 +105,6 @@ def _run(
         if not ends:
             observation, _, terminated, truncated, info = env.step(action)
             ends = terminated or truncated or len(seconds) >= max_steps
-        if progress:
-            show_progress(f"hanging: frame {len(seconds)} of at most {max_steps}", ends=ends)
     # Record the outcome, and how the episode ended.
     episode = scene.episode(type(controller).__name__)
     loops = scene.garment.named_loops

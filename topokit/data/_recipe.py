@@ -301,7 +301,7 @@ def _scaled(garment: Garment, vary: float, longest: float, rng: np.random.Genera
     return dataclasses.replace(garment, vertices=factor * garment.vertices, parameters=parameters)
 
 
-def make_episode(config: DatasetConfig, seed: int, index: int, *, time_limit: float | None = 60.0) -> Episode:
+def make_episode(config: DatasetConfig, seed: int, index: int, *, time_limit: float | None = 600.0) -> Episode:
     """Simulate episode `index` of the dataset of that configuration and seed: a pure function of the three.
 
     Parameters

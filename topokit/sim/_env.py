@@ -25,7 +25,6 @@ from ._camera import Camera
 from ._cloth import usual_config
 from ._episode import as_episode, is_at_rest
 from ._garments import Garment
-from ._surface import Array
 from ._targets import Target
 from ._tasks import Task, resolved
 from ._world import SimulationConfig, SimulationError, World, check_stretch
@@ -242,7 +241,7 @@ class HangEnv(gymnasium.Env[Observation, NDArray[np.float32]]):
             self._cloud = cloud if len(cloud) else self._cloud
         else:
             self._cloud = self.vertices[farthest_point_sample(self.vertices, self.n_points)[0]]
-        self._linked, self._distance = self._progress()
+        self._linked, self._distance = self._potential()
         places = {
             "points": self._cloud,
             "grippers": self.world.grippers(),
@@ -253,7 +252,7 @@ class HangEnv(gymnasium.Env[Observation, NDArray[np.float32]]):
         clipped = {name: np.clip(place, -_FARTHEST, _FARTHEST).astype(np.float32) for name, place in places.items()}
         return {**clipped, "needed": self._needed, "held": int(self._release_step < 0)}
 
-    def _progress(self) -> tuple[float, float]:
+    def _potential(self) -> tuple[float, float]:
         """Return the share of the task's loops that are around the target, and their distance from its seat."""
         curves = [self.vertices[loop] for loop in self._wanted_loops]
         linked = [self.target.holds(curve) for curve in curves]

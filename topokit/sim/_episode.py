@@ -11,7 +11,7 @@ from __future__ import annotations
 import dataclasses
 import math
 import platform
-from collections.abc import Callable, Sequence
+from collections.abc import Sequence
 from importlib import metadata
 from typing import Any
 
@@ -19,7 +19,6 @@ import numpy as np
 from numpy.typing import NDArray
 
 from topokit._processes import in_fresh_processes
-from topokit._progress import show_progress
 from topokit.io import FEWEST_FRAMES, Episode, wardrobe_names
 from topokit.sampling import farthest_point_sample
 
@@ -32,8 +31,6 @@ from ._targets import Rod, Target
 from ._tasks import Task, resolved
 from ._world import SimulationConfig, SimulationError, World, check_stretch
 
-# A report is called with the number of each recorded frame.
-Report = Callable[[int], None]
 # The arrays of a recording, a row a frame: points (T, N, 3), grippers and actions (T, 2, 3), held (T,), stretch (T, 2), and
 # the points observed by cameras (T, M, 3), if there are any.
 Recording = dict[str, NDArray[Any]]
@@ -63,8 +60,7 @@ def simulate(
     randomisation: Randomisation | None = None,
     cameras: Sequence[Camera] = (),
     n_observed: int | None = None,
-    time_limit: float | None = 60.0,
-    progress: bool = False,
+    time_limit: float | None = 600.0,
 ) -> Episode:
     """Simulate one episode and return it: a garment hangs between two grippers, is carried to a target, and is let go there.
 
@@ -87,10 +83,8 @@ def simulate(
     n_observed : int, optional
         How many points are observed in each frame. When not given: 500, or all vertices if there are fewer.
     time_limit : float, optional
-        Seconds that loading, settling and each frame may take in a fresh process; the same call then gives the same bytes
-        anywhere in a program. With None the simulation runs in this process, and only its first simulation gives these bytes.
-    progress : bool
-        Write the number of frames done to stderr.
+        Seconds that the simulation may take in a fresh process; the same call then gives the same bytes anywhere in a program.
+        With None it runs in this process, and only its first simulation gives these bytes.
 
     Raises
     ------
@@ -120,15 +114,14 @@ def simulate(
     noise = int(Randomisation.generator(seed, "noise").integers(2**63))
     release = round(path.release / config.dt)
     run = Run(garment, target.rods, goals, release, config, tuple(cameras), n_observed, noise)
-    report = _reporter(frames) if progress else None
-    recording = record(run, report) if time_limit is None else record_afresh(run, time_limit, report)
+    recording = record(run) if time_limit is None else record_afresh(run, time_limit)
     if not cameras:
         chosen = (farthest_point_sample(frame, n_observed)[0] for frame in recording["points"])
         recording["observed"] = np.array([frame[ids] for frame, ids in zip(recording["points"], chosen, strict=True)])
     return as_episode(recording, task, garment, target, config, seed, notes, cameras)
 
 
-def record(run: Run, report: Report | None = None) -> Recording:
+def record(run: Run) -> Recording:
     """Simulate a run in this process and return its recording."""
     garment = run.garment
     config = run.config
@@ -155,8 +148,6 @@ def record(run: Run, report: Report | None = None) -> Recording:
                     if not len(cloud):
                         raise ValueError(f"no cloth is in view of the cameras in frame {frame}")
                     rows["observed"].append(cloud)
-                if report is not None:
-                    report(frame)
             world.step(goal)
     recording: Recording = {name: np.array(values, np.float32) for name, values in rows.items()}
     recording["stretch"] = np.array(rows["stretch"])
@@ -165,20 +156,15 @@ def record(run: Run, report: Report | None = None) -> Recording:
     return recording
 
 
-def record_afresh(run: Run, time_limit: float, report: Report | None) -> Recording:
-    """Simulate a run in a fresh process, which is stopped when a frame takes longer than `time_limit` seconds."""
-    answers = in_fresh_processes(record, [run], time_limit=time_limit, report=report)
+def record_afresh(run: Run, time_limit: float) -> Recording:
+    """Simulate a run in a fresh process, which is stopped after `time_limit` seconds."""
+    answers = in_fresh_processes(record, [run], time_limit=time_limit)
     ((_, recording),) = answers
     if isinstance(recording, RuntimeError):
         raise SimulationError(str(recording)) from recording
     if isinstance(recording, Exception):
         raise recording
     return dict(recording)
-
-
-def _reporter(frames: int) -> Report:
-    """Return a report that writes the number of frames done to stderr."""
-    return lambda frame: show_progress(f"simulating: frame {frame + 1} of {frames}", ends=frame + 1 == frames)
 
 
 def is_at_rest(before: Array, points: Array, seconds: float) -> bool:
