@@ -10,7 +10,6 @@ from collections.abc import Callable, Mapping
 from dataclasses import dataclass
 from importlib import resources
 from types import MappingProxyType
-from typing import Any
 
 import numpy as np
 from numpy.typing import ArrayLike
@@ -21,29 +20,27 @@ from ._killers import converse, corollary, recovering_killers, regularity_of_kil
 from ._step import Check, as_step
 
 #: Every statement by its name: a function of a step.
-STATEMENTS: Mapping[str, Callable[..., Check]] = MappingProxyType(
-    {
-        "feature approximation": feature_approximation,
-        "observability": observability,
-        "temporal persistence": temporal_persistence,
-        "gates": gates,
-        "recovering killers": recovering_killers,
-        "regularity of killers": regularity_of_killers,
-        "corollary": corollary,
-        "converse": converse,
-    }
-)
+STATEMENTS: dict[str, Callable[..., Check]] = {
+    "feature approximation": feature_approximation,
+    "observability": observability,
+    "temporal persistence": temporal_persistence,
+    "gates": gates,
+    "recovering killers": recovering_killers,
+    "regularity of killers": regularity_of_killers,
+    "corollary": corollary,
+    "converse": converse,
+}
 
 
 def verify_step(
     before: ArrayLike, observed_before: ArrayLike, after: ArrayLike, observed_after: ArrayLike
 ) -> dict[str, Check]:
-    """Check all statements on two states in succession, in the order of `STATEMENTS`; those about one state on the first.
+    """Check all statements on two states in succession, in the paper's order; those about one state on the first.
 
     Parameters
     ----------
     before, observed_before, after, observed_after : array_like
-        S_t and S_t+1, both (n, d); O_t and O_t+1: (m,) ids of their points or (m, d) coordinates.
+        S_t and S_t+1, both (n, d); O_t and O_t+1: (m,) ids of their points.
     """
     step = as_step(before, observed_before, after, observed_after)
     return {name: statement(step) for name, statement in STATEMENTS.items()}
@@ -53,7 +50,7 @@ def verify_step(
 class Counterexample:
     """An instance in the plane, small enough to check by hand, on which a statement fails or a constant is seen to be sharp."""
 
-    statement: str  #: that it is about, one of `STATEMENTS`
+    statement: str  #: that it is about, by its name in `verify_step`
     story: str  #: what it shows
     before: Array  #: (n, 2) S_t
     after: Array  #: (n, 2) S_t+1; the same where nothing moves
@@ -68,18 +65,22 @@ class Counterexample:
         return verify_step(self.before, self.observed_before, self.after, self.observed_after)[self.statement]
 
 
-def _counterexample(entry: dict[str, Any]) -> Counterexample:
-    before = np.array(entry["before"])
-    after = np.array(entry.get("after", entry["before"]))
-    everything = np.arange(len(before))
-    observed_before = np.delete(everything, entry.get("unseen", ()))
-    observed_after = np.delete(everything, entry.get("unseen_after", ()))
-    for array in (before, after, observed_before, observed_after):
-        array.setflags(write=False)
-    return Counterexample(
-        entry["statement"], entry["story"], before, after, observed_before, observed_after, entry["refutes"]
-    )
+def _read() -> Mapping[str, Counterexample]:
+    """Return the instances of the file beside this module; where it does not say so, nothing moves and all is seen."""
+    text = resources.files(__package__).joinpath("counterexamples.json").read_text(encoding="utf-8")
+    instances = {}
+    for name, entry in json.loads(text).items():
+        before = np.array(entry["before"])
+        after = np.array(entry.get("after", entry["before"]))
+        everything = np.arange(len(before))
+        observed_before = np.delete(everything, entry.get("unseen", ()))
+        observed_after = np.delete(everything, entry.get("unseen_after", ()))
+        for array in (before, after, observed_before, observed_after):
+            array.setflags(write=False)
+        instances[name] = Counterexample(
+            entry["statement"], entry["story"], before, after, observed_before, observed_after, entry["refutes"]
+        )
+    return MappingProxyType(instances)
 
 
-_ENTRIES = json.loads(resources.files(__package__).joinpath("counterexamples.json").read_text(encoding="utf-8"))
-COUNTEREXAMPLES = MappingProxyType({name: _counterexample(entry) for name, entry in _ENTRIES.items()})
+COUNTEREXAMPLES = _read()

@@ -15,14 +15,11 @@ from itertools import pairwise
 import numpy as np
 from numpy.typing import ArrayLike
 
-from .._validate import positive
 from ._measures import Beta
-from ._step import Check, LoopCheck, Step, Verdict, as_step, compare
-
-MORE_THAN_TWICE = 2.001  # Assumption 2 needs alpha above 2 epsilon; a larger radius than the measured one covers, too
+from ._step import Check, Given, LoopCheck, Step, Verdict, as_step, compare
 
 
-def recovering_killers(state: ArrayLike | Step, observed: ArrayLike | None = None) -> Check:
+def recovering_killers(state: ArrayLike | Step, observed: Given = None) -> Check:
     """Check that the killer edge seen in the observation is near the true one (Lemma 4).
 
     The paper: the killer of a loop f in S and the killer of its counterpart in O are within beta, where beta is over all edges.
@@ -37,7 +34,7 @@ def recovering_killers(state: ArrayLike | Step, observed: ArrayLike | None = Non
     state : (n, d) array_like, or Step
         S_t, or a step that holds both the state and the observation.
     observed : array_like, optional
-        O_t: (m,) ids of points of S_t or their (m, d) coordinates; all of them when not given.
+        O_t: (m,) ids of points of S_t; all of them when not given.
     """
     step = as_step(state, observed)
     s = step.before
@@ -49,7 +46,7 @@ def recovering_killers(state: ArrayLike | Step, observed: ArrayLike | None = Non
     return Check("recovering killers", _verdicts(step, rows, betas, separated), alpha, loops=tuple(rows))
 
 
-def regularity_of_killers(before: ArrayLike | Step, after: ArrayLike | None = None, alpha: float = 0.0) -> Check:
+def regularity_of_killers(before: ArrayLike | Step, after: Given = None, alpha: float = 0.0) -> Check:
     """Check that killer edges move little in a small motion (Lemma 5).
 
     The paper: the killer of a loop f and the killer of its image are within beta + epsilon. This is true, but the proof applies
@@ -71,7 +68,7 @@ def regularity_of_killers(before: ArrayLike | Step, after: ArrayLike | None = No
     s = step.before
     epsilon = step.epsilon
     delta = step.distortion
-    alpha = max(positive(alpha, "alpha"), step.alpha, MORE_THAN_TWICE * epsilon)
+    alpha = max(alpha, step.larger_alpha)
     betas = {
         "paper": s.beta_all(alpha, alpha, alpha),
         "corrected": s.beta_critical(2 * epsilon, 0.0, epsilon),
@@ -87,10 +84,7 @@ def regularity_of_killers(before: ArrayLike | Step, after: ArrayLike | None = No
 
 
 def corollary(
-    before: ArrayLike | Step,
-    observed_before: ArrayLike | None = None,
-    after: ArrayLike | None = None,
-    observed_after: ArrayLike | None = None,
+    before: ArrayLike | Step, observed_before: Given = None, after: Given = None, observed_after: Given = None
 ) -> Check:
     """Check how far killers may lie apart in two observations of one loop (Corollary 1).
 
@@ -106,15 +100,14 @@ def corollary(
     Parameters
     ----------
     before, observed_before, after, observed_after : array_like
-        S_t and S_t+1, both (n, d); O_t and O_t+1: (m,) ids of their points or (m, d) coordinates. Or a Step in the place of
-        `before`.
+        S_t and S_t+1, both (n, d); O_t and O_t+1: (m,) ids of their points. Or a Step in the place of `before`.
     """
     step = as_step(before, observed_before, after, observed_after)
     s = step.before
     alpha = step.alpha
     epsilon = step.epsilon
     delta = step.distortion
-    larger = max(alpha, MORE_THAN_TWICE * epsilon)
+    larger = step.larger_alpha
     beta = max(state.beta_all(larger, larger, larger).max for state in (s, step.after))
     betas = {
         "corrected": s.beta_critical(alpha + 2 * epsilon, alpha, epsilon),
@@ -148,8 +141,10 @@ def _loop_checks(step: Step, places: Sequence[str], bounds: Sequence[dict[str, f
     n = len(bounds)
     legs = np.array([np.diagonal(step.killer_distances(*pair, n)) for pair in pairwise(places)]).T.tolist()
     ends = np.diagonal(step.killer_distances(places[0], places[-1], n)).tolist()
-    lifetimes = step.before.diagram.lifetime.tolist()
-    return [LoopCheck(f, lifetimes[f], ends[f], tuple(legs[f]), bounds[f]) for f in range(n)]
+    diagram = step.before.diagram
+    lifetimes = diagram.lifetime.tolist()
+    deaths = diagram.death.tolist()
+    return [LoopCheck(f, lifetimes[f], deaths[f], ends[f], tuple(legs[f]), bounds[f]) for f in range(n)]
 
 
 def _verdicts(step: Step, rows: Sequence[LoopCheck], versions: Iterable[str], separated: bool) -> dict[str, Verdict]:
@@ -163,15 +158,11 @@ def _verdict(step: Step, rows: Sequence[LoopCheck], version: str, hypotheses: bo
     if not concerned:
         return Verdict(0.0, 0.0, True, hypotheses)
     worst = max(concerned, key=lambda row: row.statistic - row.bounds[version])
-    witness = step.witness("S_t", worst.loop, "killers this far apart")
-    return compare(worst.statistic, worst.bounds[version], step.tolerance, len(concerned), witness, hypotheses)
+    return compare(worst.statistic, worst.bounds[version], step.tolerance, len(concerned), hypotheses)
 
 
 def converse(
-    before: ArrayLike | Step,
-    observed_before: ArrayLike | None = None,
-    after: ArrayLike | None = None,
-    observed_after: ArrayLike | None = None,
+    before: ArrayLike | Step, observed_before: Given = None, after: Given = None, observed_after: Given = None
 ) -> Check:
     """Check that observed killers which are close belong to the same loop: the converse of the corollary, which tracking needs.
 
@@ -191,15 +182,14 @@ def converse(
     Parameters
     ----------
     before, observed_before, after, observed_after : array_like
-        S_t and S_t+1, both (n, d); O_t and O_t+1: (m,) ids of their points or (m, d) coordinates. Or a Step in the place of
-        `before`.
+        S_t and S_t+1, both (n, d); O_t and O_t+1: (m,) ids of their points. Or a Step in the place of `before`.
     """
     step = as_step(before, observed_before, after, observed_after)
     alpha = step.alpha
     epsilon = step.epsilon
     delta = step.distortion
     versions = {
-        "paper": _by_loop(step, max(alpha, MORE_THAN_TWICE * epsilon)),
+        "paper": _by_loop(step, step.larger_alpha),
         "corrected": _by_nearest_killer(step, alpha, epsilon),
         "intrinsic": _by_nearest_killer(step, alpha, delta),
     }
@@ -217,9 +207,7 @@ def _by_loop(step: Step, alpha: float) -> Verdict:
     distance = step.killer_distances("O_t", "O_t+1", n_loops)
     np.fill_diagonal(distance, np.inf)
     least = float(distance.min())
-    loop = int(distance.min(axis=1).argmin())
-    witness = step.witness("S_t", loop, "the killer of another loop is as near")
-    return Verdict(reach, least, least > reach - step.tolerance, s.separation(alpha) > reach, n_loops, witness)
+    return Verdict(reach, least, least > reach - step.tolerance, s.separation(alpha) > reach, n_loops)
 
 
 def _by_nearest_killer(step: Step, alpha: float, change: float) -> Verdict:
@@ -232,17 +220,14 @@ def _by_nearest_killer(step: Step, alpha: float, change: float) -> Verdict:
     reach = 2 * s.beta_critical(min_lifetime, alpha, change, nearest=True).max + step.epsilon
     edges = [step.killers(place, n_loops) for place in ("O_t", "O_t+1")]
     if np.min(edges) < 0:  # a loop has no counterpart, against the theorem
-        return Verdict(reach, 0.0, False, True, n_loops, step.witness("S_t", 0, "a loop is not seen"))
+        return Verdict(reach, 0.0, False, True, n_loops)
 
     # Find the killer in S_t that is nearest to each observed killer, at both times.
     killers = s.diagram.killer_edge[:n_loops]
     nearest = [np.argmin([s.edge_distances(observed, killer) for killer in killers], axis=0) for observed in edges]
-    same = np.equal.outer(*nearest)
+    of_one_place = np.equal.outer(*nearest)
     distance = step.killer_distances("O_t", "O_t+1", n_loops)
-    least = float(distance[~same].min(initial=np.inf))
-    most = float(distance[same].max(initial=0.0))
+    least = float(distance[~of_one_place].min(initial=np.inf))
+    most = float(distance[of_one_place].max(initial=0.0))
     holds = least > reach - step.tolerance and most <= reach + step.tolerance
-    loop = int(np.where(same, np.inf, distance).min(axis=1).argmin())
-    description = f"killers of one place up to {most:.6g} apart, of different ones down to {least:.6g}"
-    separated = s.separation(min_lifetime) > 2 * reach
-    return Verdict(reach, least, holds, separated, n_loops, step.witness("S_t", loop, description))
+    return Verdict(reach, least, holds, s.separation(min_lifetime) > 2 * reach, n_loops)

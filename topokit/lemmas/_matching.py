@@ -29,7 +29,6 @@ class DiagramMatching:
 
     partner: NDArray[np.int64]  #: (n,) for every bar of the first diagram its bar in the second, -1 when it has none
     cost: float  #: the bottleneck: the largest of the shifts of matched bars and the costs of bars left alone
-    worst: tuple[int, int]  #: the two bars that reach it, -1 in the place of none
 
 
 def match_diagrams(
@@ -59,25 +58,21 @@ def match_diagrams(
 
     # The least cost that is enough, then the cheapest matching that reaches it.
     cost = float(limits[bisect_left(limits, True, key=is_enough)])
-    partner = _cheapest(pair, alone, others_alone, cost)
-    return DiagramMatching(partner, cost, _worst(pair, alone, others_alone, partner))
+    return DiagramMatching(_cheapest(pair, alone, others_alone, cost), cost)
 
 
 def longest_unmatched(
     first: Diagram, second: Diagram, shift: float, *, one_sided: bool = False, tolerance: float = 0.0
-) -> tuple[float, int]:
-    """Return lifetime and index of the longest bar of `first` that no matching reaches together with all longer ones.
+) -> float:
+    """Return the lifetime of the longest bar of `first` that no matching reaches together with all longer ones, 0.0 for none.
 
-    They are (0.0, -1) when there is none. No matching does better: the sets of bars that can be matched together are those of a
-    matroid.
+    No matching does better: the sets of bars that can be matched together are those of a matroid.
     """
     pair, _, _ = _costs(first, second, one_sided, tolerance)
     # Bars come longest first: count those that can still be matched together.
     longest = range(1, len(first) + 1)
     matched = bisect_left(longest, True, key=lambda count: not _saturates(pair[:count] <= shift))
-    if matched == len(first):
-        return (0.0, -1)
-    return (float(first.lifetime[matched]), matched)
+    return 0.0 if matched == len(first) else float(first.lifetime[matched])
 
 
 def _costs(first: Diagram, second: Diagram, one_sided: bool, tolerance: float) -> tuple[Array, Array, Array]:
@@ -118,17 +113,3 @@ def _cheapest(pair: Array, alone: Array, others_alone: Array, c: float) -> NDArr
         if saved[i, j] > 0:
             partner[i] = j
     return partner
-
-
-def _worst(pair: Array, alone: Array, others_alone: Array, partner: NDArray[np.int64]) -> tuple[int, int]:
-    """Return the most costly pair or bar left alone; (-1, -1) when both diagrams are empty."""
-    matched = np.flatnonzero(partner >= 0)
-    costs = np.concatenate([alone, others_alone])
-    costs[matched] = pair[matched, partner[matched]]
-    costs[len(alone) + partner[matched]] = 0.0
-    if costs.max(initial=0.0) == 0.0:
-        return (-1, -1)
-    i = int(np.argmax(costs))
-    if i < len(alone):
-        return (i, int(partner[i]))
-    return (-1, i - len(alone))

@@ -8,15 +8,16 @@ Source: Antonova et al. 2021, Assumptions 1 and 3. Taught in chapters 3 and 5.
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Sequence
+from collections.abc import Sequence
 from dataclasses import dataclass
 from functools import cached_property
 
 import numpy as np
-from numpy.typing import ArrayLike, NDArray
+from numpy.typing import ArrayLike
+from scipy.sparse.csgraph import connected_components
 from scipy.spatial.distance import cdist
 
-from .._validate import Array, Ids, as_points, positive
+from .._validate import Array, Ids, as_ids, as_points
 from ..rips import Diagram, rips_persistence
 from ..sampling import covering_radius
 from ._matching import DiagramMatching, match_diagrams
@@ -43,12 +44,15 @@ class State:
 
     points: Array
     ids: Ids
-    known_diagram: Diagram | None = None
+
+    @classmethod
+    def of(cls, points: Array, observed: ArrayLike | None = None, name: str = "observed") -> State:
+        """Return the state of points and of the observed ones, all when not given; the name of their ids is for errors."""
+        everything = np.arange(len(points))
+        return cls(points, everything if observed is None else np.unique(as_ids(observed, name, len(points))))
 
     @cached_property
     def diagram(self) -> Diagram:
-        if self.known_diagram is not None:
-            return self.known_diagram
         return rips_persistence(self.points)
 
     @cached_property
@@ -140,29 +144,14 @@ def is_critical(distances: Array, x: int, y: int, alpha: float, epsilon: float) 
     if not joined_by_none.any():
         return False
     near = distances[np.ix_(lens, carriers)] < inner
-    for component in _components(distances[np.ix_(carriers, carriers)] < step):
-        reached = near[:, component].any(axis=1)
+    n_components, component = connected_components(distances[np.ix_(carriers, carriers)] < step, directed=False)
+    for label in range(n_components):
+        reached = near[:, component == label].any(axis=1)
         joined_by_none[np.ix_(reached, reached)] = False
     return bool(joined_by_none.any())
 
 
-def _components(joined: NDArray[np.bool_]) -> Iterator[NDArray[np.bool_]]:
-    """Yield the components of a graph, given as an (n, n) table, as (n,) masks of its vertices."""
-    left = np.ones(len(joined), np.bool_)
-    while left.any():
-        component = np.zeros(len(joined), np.bool_)
-        new = component.copy()
-        new[left.argmax()] = True
-        while new.any():
-            component |= new
-            new = joined[new].any(axis=0) & ~component
-        left &= ~component
-        yield component
-
-
-def beta_all(
-    points: ArrayLike, alpha: float, *, min_lifetime: float | None = None, diagram: Diagram | None = None
-) -> Beta:
+def beta_all(points: ArrayLike, alpha: float, *, min_lifetime: float | None = None) -> Beta:
     """Measure the beta of the paper's Assumption 3, over all edges.
 
     For every loop with a lifetime above `min_lifetime`: the largest Hausdorff distance from its killer edge to any edge whose
@@ -177,12 +166,9 @@ def beta_all(
         Largest distance of a rival's filtration value from the death, in the unit of the points.
     min_lifetime : float, optional
         Loops with a longer lifetime are measured; `alpha` when not given, as in the paper.
-    diagram : Diagram, optional
-        Diagram of `points`, computed when not given.
     """
-    alpha = positive(alpha, "alpha")
-    shortest = alpha if min_lifetime is None else positive(min_lifetime, "min_lifetime")
-    return _dense(points, diagram).beta_all(shortest, alpha, alpha)
+    shortest = alpha if min_lifetime is None else min_lifetime
+    return State.of(as_points(points)).beta_all(shortest, alpha, alpha)
 
 
 def beta_critical(
@@ -192,7 +178,6 @@ def beta_critical(
     *,
     nearest: bool = False,
     min_lifetime: float | None = None,
-    diagram: Diagram | None = None,
 ) -> Beta:
     """Measure the beta of Assumption 3', over critical edges only. It is our variant; the paper's beta is over all edges.
 
@@ -214,29 +199,6 @@ def beta_critical(
         one's killer is a critical edge in the window of the others.
     min_lifetime : float, optional
         Loops with a lifetime above it are measured; ``alpha + 2 * epsilon`` when not given: what the corollary needs.
-    diagram : Diagram, optional
-        Diagram of `points`, computed when not given.
     """
-    alpha = positive(alpha, "alpha")
-    epsilon = positive(epsilon, "epsilon")
-    shortest = alpha + 2 * epsilon if min_lifetime is None else positive(min_lifetime, "min_lifetime")
-    return _dense(points, diagram).beta_critical(shortest, alpha, epsilon, nearest=nearest)
-
-
-def feature_separation(points: ArrayLike, min_lifetime: float = 0.0) -> float:
-    """Return the least Hausdorff distance between the killer edges of two loops: inf when there are fewer than two.
-
-    Parameters
-    ----------
-    points : (n, d) array_like
-        The dense state S_t.
-    min_lifetime : float
-        Loops with a longer lifetime are compared.
-    """
-    return _dense(points, None).separation(positive(min_lifetime, "min_lifetime"))
-
-
-def _dense(points: ArrayLike, diagram: Diagram | None) -> State:
-    """Return a state of which all points are observed."""
-    array = as_points(points)
-    return State(array, np.arange(len(array)), diagram)
+    shortest = alpha + 2 * epsilon if min_lifetime is None else min_lifetime
+    return State.of(as_points(points)).beta_critical(shortest, alpha, epsilon, nearest=nearest)
