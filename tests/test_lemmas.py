@@ -11,9 +11,9 @@ import pytest
 from scipy.sparse.csgraph import connected_components
 from scipy.spatial.distance import cdist, directed_hausdorff
 
-from topokit import hausdorff, lemmas, rips_persistence
+from topokit import farthest_point_sample, hausdorff, lemmas, rips_persistence
 from topokit.io import load_episode
-from topokit.lemmas import COUNTEREXAMPLES, STATEMENTS, Verdict, match_diagrams
+from topokit.lemmas import COUNTEREXAMPLES, match_diagrams
 
 import lemma_search
 from conftest import DATA
@@ -39,7 +39,7 @@ def some(seed, n, least=3):
 # Matchings
 
 
-@pytest.mark.parametrize("seed", range(30))
+@pytest.mark.parametrize("seed", range(20))
 def test_bottleneck_distance_is_gudhis_and_the_matching_reaches_it(seed):
     a, b = (rips_persistence(shape(s, 25)) for s in (seed, seed + 1000))
     match = match_diagrams(a, b)
@@ -52,7 +52,7 @@ def test_bottleneck_distance_is_gudhis_and_the_matching_reaches_it(seed):
     assert max([*shifts, *alone], default=0.0) == pytest.approx(match.cost, abs=1e-15)
 
 
-@pytest.mark.parametrize("seed", range(30))
+@pytest.mark.parametrize("seed", range(20))
 def test_one_sided_matching_is_a_bottleneck_matching_of_a_shifted_diagram(seed):
     points = shape(seed, 25)
     s, o = rips_persistence(points), rips_persistence(points[some(seed, 25, 10)])
@@ -62,14 +62,15 @@ def test_one_sided_matching_is_a_bottleneck_matching_of_a_shifted_diagram(seed):
         assert (distance <= limit / 2) == enough or c == 0
 
 
-@pytest.mark.parametrize("seed", range(40))
+@pytest.mark.parametrize("seed", range(20))
 @pytest.mark.parametrize("one_sided", [False, True])
 def test_the_longest_loop_without_a_counterpart_is_what_no_matching_avoids(seed, one_sided):
     """The papers' Lemmas 2 and 3, against all ways of matching."""
     points = shape(seed, 11)
     if one_sided:
-        other = points[some(seed, 11, 6)]
-        check = lemmas.observability(points, other)
+        ids = some(seed, 11, 6)
+        other = points[ids]
+        check = lemmas.observability(points, ids)
         shift = check.alpha
     else:
         other = points + 0.1 * np.random.default_rng(seed).normal(size=points.shape)
@@ -172,35 +173,17 @@ def test_beta_over_all_edges_is_as_large_as_the_object():
     assert lemmas.beta_critical(sheet, 0.1).max < 2 * (diagram.death[0] + 0.1)
 
 
-def test_max_displacement_and_distortion():
+def test_the_constants_of_a_step_are_those_of_the_definitions():
     rng = np.random.default_rng(0)
     points = rng.normal(size=(20, 3))
     turn, _ = np.linalg.qr(rng.normal(size=(3, 3)))
-    assert lemmas.distortion(points, points @ turn + 5) == pytest.approx(0, abs=1e-12)
+    assert lemmas.temporal_persistence(points, points @ turn + 5).distortion == pytest.approx(0, abs=1e-12)
     moved = points + 0.1 * rng.normal(size=points.shape)
-    changes = [
-        abs(np.linalg.norm(moved[i] - moved[j]) - np.linalg.norm(points[i] - points[j]))
-        for i, j in itertools.combinations(range(20), 2)
-    ]
-    assert lemmas.distortion(points, moved) == pytest.approx(max(changes) / 2)
-    assert lemmas.max_displacement(points, moved) == max(
-        np.linalg.norm(m - p) for m, p in zip(moved, points, strict=True)
-    )
-    assert lemmas.distortion(points, moved) <= lemmas.max_displacement(points, moved)
-
-
-def test_covering_radius_is_the_directed_hausdorff_distance():
-    points, ids = shape(3, 30), some(3, 30, 8)
-    expected = directed_hausdorff(points, points[ids])[0]
-    assert lemmas.observability(points, ids).alpha == pytest.approx(expected)
-
-
-def test_feature_separation():
-    points = np.random.default_rng(4).normal(size=(60, 2))
-    killers = rips_persistence(points).killer_edge
-    expected = min(hausdorff(points[a], points[b]) for a, b in itertools.combinations(killers, 2))
-    assert lemmas.feature_separation(points) == pytest.approx(expected)
-    assert lemmas.feature_separation(points[:3]) == np.inf
+    check = lemmas.temporal_persistence(points, moved)
+    assert check.distortion == pytest.approx(np.abs(cdist(moved, moved) - cdist(points, points)).max() / 2)
+    assert check.epsilon == pytest.approx(np.linalg.norm(moved - points, axis=1).max())
+    ids = some(3, 20, 8)
+    assert lemmas.observability(points, ids).alpha == pytest.approx(directed_hausdorff(points, points[ids])[0])
 
 
 # Statements
@@ -230,7 +213,6 @@ def test_counterexamples_refute_the_paper_and_not_the_correction(name):
     assert check.paper.applies  # the hypotheses hold, there is a loop to speak about
     assert not check.paper.holds
     assert check.paper.bound < check.paper.statistic
-    assert check.paper.witness is not None
     assert "FAILS" in str(check)
     assert all(v.holds for version, v in check.versions.items() if version != "paper")
 
@@ -242,7 +224,6 @@ def test_unit_square_has_no_image():
     assert check.alpha == 1
     assert bars(s).ravel() == pytest.approx([0.5, 0.5**0.5])
     assert len(rips_persistence(example.before[example.observed_before])) == 0
-    assert check.paper.witness.loop == 0
     recovering = lemmas.recovering_killers(example.before, example.observed_before)
     assert recovering.paper.loops == 0  # the lifetime is below alpha
     assert match_diagrams(s, rips_persistence(example.before[:3])).partner.tolist() == [-1]
@@ -291,14 +272,13 @@ def test_two_similar_loops_contradict_assumption_3():
     s, alpha = example.before, check.alpha
     first, second = rips_persistence(s).death[:2]
     assert abs(first - second) < alpha
-    separation = lemmas.feature_separation(s, alpha)
-    assert lemmas.beta_all(s, alpha).max >= lemmas.feature_separation(s, min_lifetime=0.1)
-    assert not separation > 2 * alpha + lemmas.beta_all(s, alpha).max
+    separation = hausdorff(*s[rips_persistence(s).killer_edge[:2]])
+    assert lemmas.beta_all(s, alpha).max >= separation
     assert not check.paper.hypotheses
     # Critical edges do not help: each one's killer is critical. The distance to the nearest killer does.
-    assert lemmas.beta_critical(s, alpha, min_lifetime=0.1).max >= lemmas.feature_separation(s, min_lifetime=0.1)
+    assert lemmas.beta_critical(s, alpha, min_lifetime=0.1).max >= separation
     nearest = lemmas.beta_critical(s, alpha, min_lifetime=0.1, nearest=True).max
-    assert lemmas.feature_separation(s, min_lifetime=0.1) > 4 * nearest
+    assert separation > 4 * nearest
 
 
 def test_converse_speaks_about_two_similar_loops():
@@ -363,41 +343,24 @@ def test_a_rigid_motion_changes_nothing_however_fast():
     assert all(check.intrinsic is None or check.intrinsic.holds for check in checks.values())
 
 
-def test_observed_points_and_ids_are_the_same():
-    points, ids = shape(6, 25), some(6, 25, 9)
-    later = points + 0.01
-    by_id, by_point = (lemmas.verify_step(points, o, later, p) for o, p in ((ids, ids), (points[ids], later[ids])))
-    assert by_id == by_point
-    assert list(by_id) == list(STATEMENTS)
-
-
-def test_a_verdict_with_nothing_to_say():
-    assert Verdict(0.0, 1.0, True).holds
-    assert not Verdict(0.0, 1.0, True).applies
-    assert lemmas.observability([[0.0, 0.0], [1.0, 0.0]], [0]).corrected.loops == 0
-
-
-# Bad input
+def test_a_statement_without_a_loop_is_empty():
+    check = lemmas.observability([[0.0, 0.0], [1.0, 0.0]], [0])
+    assert check.corrected.loops == 0
+    assert check.corrected.holds
+    assert not check.corrected.applies
+    assert "empty" in str(check)
 
 
 @pytest.mark.parametrize(
-    ("call", "error", "names"),
+    ("call", "names"),
     [
-        (lambda s: lemmas.observability(s, [99]), ValueError, "vertex 99"),
-        (lambda s: lemmas.observability(s, [-1]), ValueError, "vertex -1"),
-        (lambda s: lemmas.observability(s, []), ValueError, "observed"),
-        (lambda s: lemmas.observability(s, [0.5, 1.0]), TypeError, "vertex ids"),
-        (lambda s: lemmas.observability(s, s[:3] + 0.01), ValueError, "point 0"),
-        (lambda s: lemmas.observability(s, np.zeros((3, 3))), ValueError, "observed"),
-        (lambda s: lemmas.gates(s, [0, 1], s, [0, 77]), ValueError, "observed_after names vertex 77"),
-        (lambda s: lemmas.temporal_persistence(s, s[:-1]), ValueError, "after"),
-        (lambda s: lemmas.beta_critical(s, -1), ValueError, "alpha"),
-        (lambda s: lemmas.regularity_of_killers(s, s, -1), ValueError, "alpha"),
-        (lambda s: lemmas.feature_approximation(np.zeros((0, 2)), [0]), ValueError, "vertex 0"),
+        (lambda s: lemmas.observability(s, [99]), "vertex 99"),
+        (lambda s: lemmas.gates(s, [0, 1], s, [0, 77]), "observed_after names vertex 77"),
+        (lambda s: lemmas.temporal_persistence(s, s[:-1]), "after"),
     ],
 )
-def test_bad_input_is_refused(call, error, names):
-    with pytest.raises(error, match=names):
+def test_bad_input_is_refused(call, names):
+    with pytest.raises(ValueError, match=names):
         call(shape(0))
 
 
@@ -406,11 +369,13 @@ def test_bad_input_is_refused(call, error, names):
 
 def test_verify_episode_is_verify_step_by_step():
     episode = load_episode(DATA / "apron_hook_0.npz")
-    points, observed = episode.points[60:63], episode.observed[60:63]
+    points = episode.points[60:63, ::2].astype(float)
+    observed = points[:, farthest_point_sample(points[0], 200)[0]]
     steps = lemmas_on_cloth.verify_episode(points, observed)
     assert [step.frame for step in steps] == [0, 1]
     for t, step in enumerate(steps):
-        assert step.checks == lemmas.verify_step(points[t], observed[t], points[t + 1], observed[t + 1])
+        ids, ids_then = (lemmas_on_cloth.observed_ids(points[i], observed, i) for i in (t, t + 1))
+        assert step.checks == lemmas.verify_step(points[t], ids, points[t + 1], ids_then)
         assert all(v.holds for c in step.checks.values() for name, v in c.versions.items() if name != "paper")
         assert step.distortion < step.epsilon / 5  # cloth in the air moves almost rigidly
         assert step.beta_intrinsic < step.beta_all / 4  # the killer's rivals are around the loop
@@ -423,7 +388,7 @@ def test_the_search_finds_no_violation_and_would_find_one(monkeypatch):
     search.run(60, len(lemma_search.TRUE_VERSIONS), progress=False)
     assert search.news == []
     rows = {(r["instances"], r["statement"], r["version"]): r for r in search.table()}
-    assert all(rows["random", name, "corrected"]["tried"] == 60 for name in STATEMENTS)
+    assert all(rows["random", name, "corrected"]["tried"] == 60 for name in lemma_search.CHECKS)
     assert rows["random", "feature approximation", "paper"]["violated"] > 10
     # Were a false statement taken for a true one, the search would say so.
     monkeypatch.setattr(lemma_search, "TRUE_VERSIONS", [("feature approximation", "paper")])

@@ -26,7 +26,6 @@ from typing import Any
 import numpy as np
 
 from topokit import farthest_point_sample, lemmas, rips_persistence
-from topokit.lemmas import Check, Verdict
 
 from clouds import random_cloud
 
@@ -51,7 +50,7 @@ class Instance:
     seen_after: Array
 
 
-CHECKS: dict[str, Callable[[Instance], Check]] = {
+CHECKS: dict[str, Callable[[Instance], Any]] = {
     "feature approximation": lambda i: lemmas.feature_approximation(i.before, i.seen),
     "observability": lambda i: lemmas.observability(i.before, i.seen),
     "temporal persistence": lambda i: lemmas.temporal_persistence(i.before, i.after),
@@ -220,25 +219,28 @@ def seven_points() -> Instance:
     return Instance(case.before, case.after, case.observed_before, case.observed_after)
 
 
-def ratio(verdict: Verdict) -> float:
+def ratio(verdict: Any) -> float:
     """Return statistic / bound: above 1 is a violation."""
     if verdict.statistic <= 0:
         return 0.0
     return verdict.statistic / verdict.bound if verdict.bound > 0 else float("inf")
 
 
-def needed_factor(check: Check, version: str) -> tuple[float, float] | None:
+def needed_factor(check: Any, version: str) -> tuple[float, float] | None:
     """Return the factor before beta that is needed, and beta in killer lengths; None where beta is small or not in the bound."""
     verdict = check.versions[version]
     times = FACTORS.get((check.statement, version))
-    if times is None or not verdict.loops or verdict.witness is None:
+    if times is None or not verdict.loops:
         return None
+    tightest = max(
+        (row for row in check.loops if version in row.bounds), key=lambda row: row.statistic - row.bounds[version]
+    )
     beta = (verdict.bound - check.epsilon) / times
-    share = beta / (2 * verdict.witness.death)
+    share = beta / (2 * tightest.death)
     return ((verdict.statistic - check.epsilon) / beta, share) if share >= LARGE_BETA else None
 
 
-def tightness(check: Check, version: str) -> float:
+def tightness(check: Any, version: str) -> float:
     """Return how near to a violation, 1 being on the bound: by the factor before beta where beta is large."""
     verdict = check.versions[version]
     if verdict.violated or (check.statement, version) not in FACTORS:
@@ -271,7 +273,7 @@ def flip(rng: np.random.Generator, ids: Array, n: int) -> Array:
     return changed if len(changed) else ids
 
 
-def score(check: Check, version: str) -> float:
+def score(check: Any, version: str) -> float:
     """Return what to climb: the ratio, and for a chain of killers also the length of its legs."""
     verdict = check.versions[version]
     if not (verdict.applies or verdict.violated):
@@ -282,7 +284,7 @@ def score(check: Check, version: str) -> float:
     )
 
 
-def optimised_instance(rng: np.random.Generator, statement: str, version: str, steps: int) -> tuple[Instance, Check]:
+def optimised_instance(rng: np.random.Generator, statement: str, version: str, steps: int) -> tuple[Instance, Any]:
     """Keep mutations that bring the score up, with a step size that adapts (1 + 1 evolution strategy)."""
     kinds = {"recovering killers": rivals, "regularity of killers": rivals, "corollary": rivals, "converse": two_rivals}
     make = kinds.get(statement, random_instance)
@@ -321,7 +323,7 @@ class Count:
     largest_factor: float | None = None  #: before beta, needed by one of these
     beta_there: float | None = None  #: in killer lengths
 
-    def add(self, check: Check, version: str) -> None:
+    def add(self, check: Any, version: str) -> None:
         verdict = check.versions[version]
         self.tried += 1
         self.applies += verdict.applies
@@ -385,10 +387,10 @@ class Search:
         self,
         counts: dict[tuple[str, str], Count],
         name: str,
-        check: Check,
+        check: Any,
         instance: Instance,
         label: str,
-        versions: dict[str, Verdict] | None = None,
+        versions: dict[str, Any] | None = None,
     ) -> None:
         for version, verdict in (versions or check.versions).items():
             counts.setdefault((name, version), Count()).add(check, version)

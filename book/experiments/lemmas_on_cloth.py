@@ -23,11 +23,11 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
+from scipy.spatial import cKDTree
 
 from topokit import farthest_point_sample, hausdorff, lemmas, rips_persistence
 from topokit.data import Dataset
 from topokit.io import Episode, load_episode
-from topokit.lemmas import Check
 from topokit.linking import curve_centroid
 
 MEASURES = ("alpha", "epsilon", "distortion", "lifetime", "death", "beta_all", "beta_critical", "beta_intrinsic")
@@ -48,7 +48,7 @@ class StepCheck:
     beta_all: float  #: the largest beta over all edges, of loops with a lifetime above the frame's alpha
     beta_critical: float  #: over (alpha, epsilon)-critical edges, of loops with a lifetime above alpha + 2 epsilon
     beta_intrinsic: float  #: the same as `beta_critical` with the distortion in place of epsilon
-    checks: dict[str, Check]  #: by statement, in the order of `STATEMENTS`
+    checks: dict[str, Any]  #: by statement, in the paper's order
 
 
 @dataclass(frozen=True)
@@ -71,14 +71,13 @@ def verify_episode(points: np.ndarray, observed: np.ndarray, stride: int = 1) ->
     """
     steps = []
     for frame, later in pairwise(range(0, len(points), stride)):
-        checks = lemmas.verify_step(
-            points[frame], per_frame(observed, frame), points[later], per_frame(observed, later)
-        )
+        ids, ids_later = (observed_ids(points[t], observed, t) for t in (frame, later))
+        checks = lemmas.verify_step(points[frame], ids, points[later], ids_later)
         steps.append(step_check(frame, points[frame], checks))
     return steps
 
 
-def step_check(frame: int, points: np.ndarray, checks: dict[str, Check]) -> StepCheck:
+def step_check(frame: int, points: np.ndarray, checks: dict[str, Any]) -> StepCheck:
     """Gather the constants of one step."""
     diagram = rips_persistence(points)
     check = checks["corollary"]
@@ -96,7 +95,7 @@ def step_check(frame: int, points: np.ndarray, checks: dict[str, Check]) -> Step
     )
 
 
-def largest_bound(check: Check, version: str) -> float:
+def largest_bound(check: Any, version: str) -> float:
     """Return the largest bound of a version, nan where it speaks about no loop."""
     return max((row.bounds[version] for row in check.loops if version in row.bounds), default=float("nan"))
 
@@ -154,9 +153,12 @@ def observe(episode: Episode, n_observed: int | None) -> tuple[np.ndarray, str]:
     return np.sort(farthest_point_sample(episode.points[0], n)[0]), f"farthest-point sample of {n} vertices"
 
 
-def per_frame(seen: np.ndarray, t: int) -> np.ndarray:
-    """Return what is observed at frame t."""
-    return seen if seen.ndim == 1 else seen[t]
+def observed_ids(points: np.ndarray, seen: np.ndarray, t: int) -> np.ndarray:
+    """Return the ids of the vertices that are observed at frame t."""
+    now = seen if seen.ndim == 1 else seen[t]
+    if now.ndim == 1:
+        return now
+    return np.unique(cKDTree(points).query(now)[1])
 
 
 def jumps(name: str, before: np.ndarray, after: np.ndarray) -> dict[str, float]:
@@ -208,7 +210,7 @@ def distributions(steps: list[StepCheck]) -> dict[str, dict[str, float | int | N
 def shares(steps: list[StepCheck]) -> list[dict[str, Any]]:
     """Return for every version of every statement in how many steps it applies, its hypotheses hold, and its conclusion does."""
     rows = []
-    for statement in lemmas.STATEMENTS:
+    for statement in steps[0].checks:
         for version in steps[0].checks[statement].versions:
             verdicts = [step.checks[statement].versions[version] for step in steps]
             speaks = [v for v in verdicts if v.loops]
@@ -249,7 +251,7 @@ def main() -> int:
         looked_at = range(0, len(episode), options.stride)
         for step, later in zip(steps, looked_at[1:], strict=True):
             now, then = (episode.points[t].astype(float) for t in (step.frame, later))
-            ids, ids_then = (lemmas.vertex_ids(episode.points[t], per_frame(seen, t)) for t in (step.frame, later))
+            ids, ids_then = (observed_ids(episode.points[t], seen, t) for t in (step.frame, later))
             moved = jumps("states", now, then) | jumps("observations", now[ids], then[ids_then])
             rows.append(row(episode.garment, step) | {key: short(x) for key, x in moved.items()})
         listed.append({"file": name, "garment": episode.garment, "steps": len(steps), "observed": how})

@@ -141,9 +141,8 @@ def _loop_checks(step: Step, places: Sequence[str], bounds: Sequence[dict[str, f
     n = len(bounds)
     legs = np.array([np.diagonal(step.killer_distances(*pair, n)) for pair in pairwise(places)]).T.tolist()
     ends = np.diagonal(step.killer_distances(places[0], places[-1], n)).tolist()
-    diagram = step.before.diagram
-    lifetimes = diagram.lifetime.tolist()
-    deaths = diagram.death.tolist()
+    lifetimes = step.before.diagram.lifetime.tolist()
+    deaths = step.before.diagram.death.tolist()
     return [LoopCheck(f, lifetimes[f], deaths[f], ends[f], tuple(legs[f]), bounds[f]) for f in range(n)]
 
 

@@ -95,8 +95,6 @@ def _saturates(allowed: NDArray[np.bool_]) -> bool:
     """Return whether all rows can be matched."""
     if len(allowed) == 0:
         return True
-    if not allowed.any(axis=1).all():
-        return False
     return bool((maximum_bipartite_matching(csr_matrix(allowed), perm_type="column") >= 0).all())
 
 

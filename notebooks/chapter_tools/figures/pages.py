@@ -17,9 +17,9 @@ from typing import Any
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
+from scipy.spatial.distance import pdist
 
 from topokit import farthest_point_sample, lemmas, linking_number, rips_persistence, rips_persistence_many
-from topokit.lemmas import Verdict
 from topokit.linking import close_far
 from topokit.view import HtmlFigure, loop_colour
 
@@ -486,7 +486,8 @@ def verdicts(
     states = [state + share * motion for share in shares]
 
     # Check every pair of levels.
-    shape = (*levels, len(lemmas.STATEMENTS), len(VERSIONS))
+    statements = list(lemmas.verify_step(state, observed[0], states[0], observed[0]))
+    shape = (*levels, len(statements), len(VERSIONS))
     outcomes = np.zeros(shape, dtype=np.uint8)
     numbers = np.zeros((*shape, 2))
     killers_then = np.zeros((*levels, 2), dtype=np.int64)
@@ -510,13 +511,13 @@ def verdicts(
     for a, ids in enumerate(observed):
         seen[a, ids] = True
     data = {
-        "statements": list(lemmas.STATEMENTS),
+        "statements": statements,
         "versions": VERSIONS,
-        "along": ["epsilon" if name in OF_MOTION else "alpha" for name in lemmas.STATEMENTS],
-        "counted": [name == "feature approximation" for name in lemmas.STATEMENTS],
+        "along": ["epsilon" if name in OF_MOTION else "alpha" for name in statements],
+        "counted": [name == "feature approximation" for name in statements],
         "alphas": alphas.tolist(),
-        "epsilons": [lemmas.max_displacement(state, moved) for moved in states],
-        "distortions": [lemmas.distortion(state, moved) for moved in states],
+        "epsilons": [float(np.linalg.norm(moved - state, axis=1).max()) for moved in states],
+        "distortions": [float(np.abs(pdist(moved) - pdist(state)).max()) / 2 for moved in states],
         "counts": counts,
         "life": float(diagram.lifetime[0]),
         "outcomes": outcomes,
@@ -552,7 +553,7 @@ def _killer(points: NDArray[np.float64], ids: NDArray[np.int64]) -> NDArray[np.i
     return ids[diagram.killer_edge[0]]
 
 
-def _outcome(verdict: Verdict) -> int:
+def _outcome(verdict: Any) -> int:
     """Return 1 where no loop is long enough, 2 where the assumptions are not met, 3 for a true conclusion, 4 for a false one."""
     if not verdict.loops:
         return 1
