@@ -5,9 +5,10 @@ from __future__ import annotations
 import numpy as np
 import pytest
 from scipy.spatial.distance import cdist
+from spoilt import spoil
 
 from topokit import covering_radius, farthest_point_sample, hausdorff
-from topokit.sampling import as_tree, hausdorff_table, inliers, spacing, spoil
+from topokit.sampling import as_tree, hausdorff_table, inliers, spacing
 
 LINE = np.array([[3.0], [4.0], [5.0], [9.0], [4.5]])
 

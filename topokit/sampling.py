@@ -8,9 +8,9 @@ from __future__ import annotations
 from typing import TYPE_CHECKING
 
 import numpy as np
-from numpy.typing import ArrayLike, NDArray
+from numpy.typing import ArrayLike
 
-from ._validate import Array, Ids, as_points, as_reals, positive, whole
+from ._validate import Array, Ids, as_points, positive, whole
 
 if TYPE_CHECKING:
     from scipy.spatial import cKDTree
@@ -229,61 +229,6 @@ def _places(tree: cKDTree) -> tuple[cKDTree, Ids]:
     if len(places) == tree.n:
         return tree, np.arange(tree.n)
     return as_tree(places), place_of_point.ravel()
-
-
-def spoil(
-    clouds: NDArray[np.floating],
-    rng: np.random.Generator | int,
-    *,
-    noise: ArrayLike = 0.0,
-    outliers: ArrayLike = 0.0,
-    keep: ArrayLike = 1.0,
-) -> Array:
-    """Return clouds (..., P, 3) float64 with missing points, noise and outliers, drawn for every cloud separately.
-
-    Parameters
-    ----------
-    clouds : (..., P, 3) array
-    rng : numpy.random.Generator or int
-        A generator or the seed of one.
-    noise : float or array that broadcasts to the leading axes of `clouds`
-        Standard deviation of each coordinate, metres.
-    outliers : float or such an array
-        Share of the points that are anywhere in the cloud's box, which is grown by 10 cm on each side.
-    keep : float or such an array
-        Share of the points that are kept, at least one. They come first, in the order in which they were; repeats of them, in
-        their order, replace the others. Both shares are rounded to whole points.
-
-    Raises
-    ------
-    ValueError
-        When a coordinate is not finite, a share is not from 0 to 1, or the noise is negative.
-    """
-    rng = np.random.default_rng(rng)
-    clouds = as_reals(clouds, "clouds").astype(np.float64)
-    if clouds.ndim < 2 or not np.isfinite(clouds).all():
-        raise ValueError(f"clouds must be finite and of shape (..., P, 3); theirs is {clouds.shape}")
-    for name, values, most in (("noise", noise, np.inf), ("outliers", outliers, 1.0), ("keep", keep, 1.0)):
-        numbers = as_reals(values, name)
-        if not ((numbers >= 0) & (numbers <= most) & np.isfinite(numbers)).all():
-            bound = "0 or more" if most == np.inf else "from 0 to 1"
-            raise ValueError(f"{name} must be finite and {bound}, not {np.asarray(values).tolist()!s:.80}")
-    n_points = clouds.shape[-2]
-    noise, outliers, keep = [np.broadcast_to(one, clouds.shape[:-2])[..., None] for one in (noise, outliers, keep)]
-    places = np.broadcast_to(np.arange(n_points), clouds.shape[:-1])
-
-    # Points that are kept come first, in their order; then they are repeated.
-    n_kept = np.maximum(np.round(keep * n_points), 1).astype(np.int64)
-    is_lost = rng.permuted(places, axis=-1) >= n_kept
-    order = np.argsort(is_lost, axis=-1, kind="stable")
-    kept = np.take_along_axis(order, places % n_kept, axis=-1)
-    spoilt = np.take_along_axis(clouds, kept[..., None], axis=-2) + noise[..., None] * rng.standard_normal(clouds.shape)
-
-    # Outliers lie anywhere in the box around the cloud.
-    low = clouds.min(axis=-2, keepdims=True) - 0.1
-    high = clouds.max(axis=-2, keepdims=True) + 0.1
-    is_outlier = rng.permuted(places, axis=-1) < np.round(outliers * n_points)
-    return np.where(is_outlier[..., None], rng.uniform(low, high, clouds.shape), spoilt)
 
 
 def as_tree(points: ArrayLike | cKDTree, name: str = "points", *, copy: bool = False) -> cKDTree:

@@ -5,10 +5,10 @@ from __future__ import annotations
 from collections.abc import Callable, Iterator
 
 import numpy as np
+from spoilt import spoil
 
 import topokit as tk
 from topokit.io import Episode
-from topokit.sampling import spoil
 from topokit.sim import Camera
 
 CAMERA = Camera(eye=(-0.8, -2.3, 1.6), target=(0.0, 0.0, 1.2), fov=60.0, width=192, height=192)

@@ -8,8 +8,8 @@ from typing import Any
 import gymnasium
 import numpy as np
 from numpy.typing import NDArray
+from spoilt import spoil
 
-from topokit.sampling import spoil
 from topokit.sim import HangEnv, World
 
 PUSH = 3  # frames that a push of the cloth takes, about 0.1 s
@@ -26,7 +26,7 @@ class Faults(gymnasium.ObservationWrapper):
     interval : int
         Steps from one new cloud to the next.
     **errors
-        Errors of `topokit.sampling.spoil`.
+        Errors of `spoilt.spoil`.
     """
 
     def __init__(self, env: gymnasium.Env, delay: int = 0, interval: int = 1, **errors: float) -> None:

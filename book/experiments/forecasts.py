@@ -26,6 +26,7 @@ import numpy as np
 import pandas as pd
 import torch
 from numpy.typing import NDArray
+from spoilt import spoil
 from tables import bootstrap, draw_episodes, draw_seeds, interval, write_results
 from torch import Tensor
 from torch.utils.data import default_collate
@@ -36,7 +37,6 @@ from topokit.data import Dataset, WindowDataset
 from topokit.evaluate import TrueCurves, measure_forecasts, true_loops
 from topokit.io import save_episode
 from topokit.models import Forecast, MotionPredictor, Predictor, Shape, StateTensors, build
-from topokit.sampling import spoil
 
 Forecaster = Callable[[Mapping[str, Tensor]], StateTensors]
 
