@@ -67,7 +67,7 @@ def test_help_imports_nothing_heavy(words):
         (["generate", "--out", "x", "--episodes", "many"], "--episodes"),
         (["hang", "--film", "film.mp4"], ".html"),
     ],
-    ids=" ".join,
+    ids=str,
 )
 def test_wrong_calls_are_one_line(arguments, names, capsys):
     assert names in refused(capsys, *arguments)
@@ -118,11 +118,12 @@ def test_track_takes_clouds(kind, tmp_path, capsys):
             np.save(path / f"{number}.npy", cloud)
     else:
         path = path.with_suffix(".npy")
-        np.save(path, clouds)
+        np.save(path, ring)
     picture = tmp_path / "film.svg"
     answer = answer_of(capsys, "track", path, "--plot", picture)
-    assert (answer["frames"], answer["plot"]) == (3, str(picture))
-    assert [(row["id"], row["frames"]) for row in answer["tracks"]] == [(0, 3)]
+    frames = {"folder": 3, "file": 1}[kind]
+    assert (answer["frames"], answer["plot"]) == (frames, str(picture))
+    assert [(row["id"], row["frames"]) for row in answer["tracks"]] == [(0, frames)]
     assert b"</svg>" in picture.read_bytes()
 
 
@@ -136,7 +137,7 @@ def test_track_takes_clouds(kind, tmp_path, capsys):
         (["episode.npz", "--out", "tracks.csv"], ".jsonl"),
         (["episode.npz", "--plot", "a.txt"], ".png"),
     ],
-    ids=" ".join,
+    ids=str,
 )
 def test_bad_calls_of_track_write_nothing(arguments, names, episode, tmp_path, capsys, monkeypatch):
     monkeypatch.chdir(tmp_path)

@@ -162,7 +162,7 @@ def _npy(file: Path, options: _Options) -> Frames:
 
 
 def _npz(file: Path, options: _Options) -> Frames:
-    with np.load(file, allow_pickle=False) as archive:
+    with file.open("rb") as stream, np.load(stream, allow_pickle=False) as archive:
         name = next((name for name in ("clouds", "points") if name in archive), None)
         if name is None:
             raise ValueError(f"it has {', '.join(archive)}, and no array 'clouds' or 'points'")
