@@ -33,14 +33,16 @@ def piece(word: str) -> str:
 
 def test_the_bib_is_read_in_the_size_that_the_films_have(tmp_path, monkeypatch):
     monkeypatch.chdir(tmp_path)
-    exec(piece("bib.obj"), {})
+    exec(piece("lines.append"), {})
+    exec(piece("from_mesh"), {})
     films = from_mapping(DatasetConfig, FILES[0], "bib.json")
     mesh = films.meshes["bib"]
-    garment = Garment.from_mesh(mesh.file, loops=mesh.loops, size=mesh.size, up=mesh.up)
+    garment = Garment.from_mesh(mesh.file, up=mesh.up, unit=mesh.unit, grips=mesh.grips, loops=mesh.loops)
     assert garment.loop_names == ("neck",)
-    assert np.ptp(garment.vertices, axis=0).max() == pytest.approx(0.41)
-    assert garment.vertices[garment.loops[0], 2].mean() > garment.vertices[:, 2].mean()  # the neck is above the middle
-    assert "0.16 m" in " ".join(Garment.from_mesh("bib.obj", loops="auto").repairs)
+    assert np.ptp(garment.vertices, axis=0).max() == pytest.approx(16 * 0.0254)
+    neck = garment.vertices[garment.loops[0]]
+    np.testing.assert_allclose(np.linalg.norm(neck - neck.mean(axis=0), axis=1), 3 * 0.0254, atol=1e-5)  # 3 inches
+    assert (garment.vertices[garment.grips, 2] > neck[:, 2].mean()).all()
 
 
 def test_the_files_of_the_page_are_valid_and_fit_together(tmp_path):

@@ -214,11 +214,9 @@ def pinned(config: DatasetConfig) -> DatasetConfig:
     for name, mesh in config.meshes.items():
         path, checksum = checked_file(mesh)
         garment = _garment_of_mesh(name, mesh)
-        tasks = [_task(config, task, garment) for task in config.tasks if task.rpartition("-")[0] == name]
-        for task in tasks:
-            if not task.loops:
-                has = ", ".join(garment.loop_names) or "none"
-                raise ValueError(f"{task.name}: {path} has no loop to hang it by, its loops: {has}; mark or name them")
+        for task in config.tasks:
+            if task.rpartition("-")[0] == name:
+                _task(config, task, garment)  # refuses a garment that has no loop to hang it by
         meshes[name] = dataclasses.replace(mesh, file=str(path), sha256=checksum)
     return dataclasses.replace(config, meshes=meshes)
 
