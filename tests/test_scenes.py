@@ -90,20 +90,18 @@ def test_scenes_repeat_and_each_draw_leaves_the_others():
     for i in range(60):
         name, seed = fixed.draw(0, i)
         task, garment, target = _scene(fixed, name, seed)
-        off += bool(task.plan(garment, target.target, Randomisation.generator(seed, "path")).drawn)
-        places.append([target.x, target.y, target.yaw / 360])
-        assert target.target == Hook()
+        off += bool(task.path(garment, target, Randomisation.generator(seed, "path")).drawn)
+        places.append([*target.place[:2], target.yaw / 360])
+        assert target.unplaced() == Hook()
     for i in range(3):
         name, seed = config.draw(0, i)
         scenes = [_scene(config, name, seed) for _ in range(2)]
-        paths = [
-            task.plan(garment, target.target, Randomisation.generator(seed, "path")) for task, garment, target in scenes
-        ]
+        paths = [task.path(garment, target, Randomisation.generator(seed, "path")) for task, garment, target in scenes]
         assert scenes[0][2] == scenes[1][2]
         assert scenes[0][1].parameters == scenes[1][1].parameters
         assert (paths[0].at(1.0) == paths[1].at(1.0)).all()
-        place = scenes[0][2]
-        assert [place.x, place.y, place.yaw / 360] == places[i]  # sizes do not move places
+        target = scenes[0][2]
+        assert [*target.place[:2], target.yaw / 360] == places[i]  # sizes do not move places
     spread = np.ptp(places, axis=0)
     assert ((spread > 0.85) & (spread <= 1.0)).all()
     assert abs(off / 60 - 0.6) < 0.2

@@ -195,7 +195,7 @@ class HangEnv(gymnasium.Env[Observation, NDArray[np.float32]]):
         if self.reward == "topological":
             reward += distance_before - self._distance + self._linked - linked_before
         ends = rests or torn
-        info = {"success": success, "dropped": rests and not success, "torn": torn}
+        info: dict[str, Any] = {"success": success, "dropped": rests and not success, "torn": torn}
         info |= {"linked": self._linked, "distance": self._distance}
         return observation, reward, ends, not ends and self._steps >= self.max_steps, info
 
