@@ -2,16 +2,11 @@
 
 from __future__ import annotations
 
-import dataclasses
-
 import numpy as np
 import pytest
 
 pytest.importorskip("pybullet")
 
-from topokit import rips_persistence
-from topokit._config import from_mapping
-from topokit.sampling import spacing
 from topokit.sim import WARDROBE, Camera, SimulationConfig, World
 
 APRON = WARDROBE["apron"](spacing=0.05, strap_width=0.05)
@@ -66,19 +61,6 @@ def test_points_lie_on_the_cloth(world, camera):
     assert np.percentile(error, 95) < 5e-5
 
 
-def test_a_shifted_pixel_would_not_lie_on_the_cloth(world):
-    """The pixel's place matters: read at its middle, points leave the cloth by a millimetre and more."""
-    camera = Camera.around((0, -0.2, 0.9))[1]
-    depth, mask = world.image(camera)
-    moved = dataclasses.replace(camera, width=2 * camera.width, height=2 * camera.height)
-    rows, columns = np.nonzero(mask)
-    fine = np.zeros((moved.height, moved.width), dtype=bool)
-    values = np.full(fine.shape, np.inf)
-    fine[2 * rows, 2 * columns + 1], values[2 * rows, 2 * columns + 1] = True, depth[mask]
-    points = moved.unproject(values, fine)  # (rows + 1/2, columns + 1/2) of the coarse picture
-    assert np.median(distances(points, world.vertices()[APRON.faces])) > 1e-3
-
-
 def test_the_target_hides_the_cloth(world):
     camera = Camera((0, -2, 1), (0, 0, 1))
     depth, mask = world.image(camera)
@@ -101,19 +83,6 @@ def test_observation_is_a_spread_of_what_is_seen(world, rng):
     assert distances(points, world.vertices()[APRON.faces]).max() < 1e-4
     np.testing.assert_array_equal(points, world.observe(cameras, 200, np.random.default_rng(5)))  # no noise, no chance
     assert world.observe(cameras, 1, rng).shape == (1, 3)
-
-
-def test_fewer_pixels_than_points_are_repeated(world, rng):
-    camera = Camera((0, -2, 1), (0, 0, 1), width=16, height=16)
-    seen = int(world.image(camera)[1].sum())
-    points = world.observe([camera], 300, rng)
-    assert points.shape == (300, 3)
-    assert len(np.unique(points, axis=0)) == seen < 150
-    once, repeated = rips_persistence(points[:seen]), rips_persistence(points)
-    keep = repeated.lifetime > 0
-    np.testing.assert_allclose(repeated.death[keep], once.death)
-    np.testing.assert_allclose(repeated.birth[keep], once.birth)
-    assert spacing(points) == pytest.approx(spacing(points[:seen]))  # the scale below which loops are noise
 
 
 def test_noise_is_repeatable_and_small(world):
@@ -143,12 +112,6 @@ def test_lateral_noise_makes_outlines_ragged(rng):
     assert 0.3 < edge < 0.7  # near the outline it is a coin toss
     assert ragged[:, :190].all()
     assert not ragged[:, 210:].any()
-
-
-def test_places_may_be_arrays():
-    camera = Camera((0.0, -2.0, 1.0), (0.0, 0.0, 0.0), noise=1.0)
-    assert Camera(np.array([0, -2, 1]), np.zeros(3), noise=1.0) == camera
-    assert from_mapping(Camera, dataclasses.asdict(camera), "a camera") == camera  # and lists, as JSON has them
 
 
 def test_what_sees_no_cloth_observes_no_points(world, rng):

@@ -11,7 +11,6 @@ from scipy.spatial import cKDTree
 pytest.importorskip("pybullet")
 pytest.importorskip("gymnasium")
 
-import topokit as tk
 from chapter_tools.dressing import PullOver
 from chapter_tools.throwing import Fence, Thrower
 from topokit._geometry import angle, turned
@@ -86,22 +85,6 @@ def test_it_hangs_the_loop_that_bears():
     rings = np.concatenate([ring(60, 0.1, (0, 0, 1.3)), ring(60, 0.15, (0, 0, 0.8))])
     plan(servo, seen(rings, [[-0.1, 0, 1.42], [0.1, 0, 1.42]]))
     assert [loop.cycle[:, 2].mean() for loop in servo._chosen] == pytest.approx([1.3 - 1.42], abs=0.03)
-
-
-def test_two_rings_that_die_together_are_no_opening():
-    """As the handles of a tote do; the walk around both, over a bridge, once ended the episode with an error."""
-    rings = [ring(40, 0.12, (0, -0.6, 1.25)), ring(32, 0.1, (0, -0.53, 1.25))]
-    assert any(len({*loop.cycle.tolist()}) < len(loop.cycle) for loop in tk.track([np.concatenate(rings)])[0].loops)
-    servo = Servo()
-    plan(servo, seen(np.concatenate(rings), [[-0.1, -0.6, 1.42], [0.1, -0.6, 1.42]]))
-    assert [len(known.cycle) for known in servo._known_loops] == [40]
-
-
-def test_of_two_handles_the_one_that_is_not_seen_is_the_twin():
-    servo = Servo(2)
-    plan(servo, seen(ring(60, centre=(0.15, 0, 1.2)), [[-0.15, 0, 1.37], [0.15, 0, 1.37]]))
-    places = sorted(float(loop.cycle[:, 0].mean()) for loop in servo._chosen)
-    assert places == pytest.approx([-0.15, 0.15], abs=0.02)
 
 
 def test_two_handles_that_hang_askew_are_turned_until_their_grippers_are_behind_each_other():
@@ -201,12 +184,6 @@ def test_a_plan_hangs_it_sooner(outcome):
     assert planned.episode.physics["controller"] == "Planner"
 
 
-def test_a_motion_model_can_be_planned_with():
-    result = hang("apron-hook", garment=COARSE, seed=1, model=CHECKPOINTS / "motion.safetensors", max_steps=12)
-    assert result.steps == 12
-    assert np.ptp(result.episode.grippers, axis=0).max() > 0.02
-
-
 # The throws and the dressing of chapter 16.
 
 
@@ -270,13 +247,6 @@ def test_a_tube_is_lifted_over_the_head_and_let_go_around_the_neck(yaw):
         low = cloud[cloud[:, 2] < DUMMY.centre_line[-1, 2]]
         inside = len(low) and np.linalg.norm(low[:, :2].mean(axis=0) - axis) < 0.05
         assert inside or not len(low) or np.linalg.norm(low[:, :2] - axis, axis=1).min() > 0.2
-
-
-def test_what_has_no_loop_is_never_let_go():
-    controller = PullOver()
-    _, action = carried(controller, tube()[::30], DUMMY.seat + [0, 0, 1.0], 70.0, 0.2, frames=2500)
-    assert action[6] == 0
-    assert "not seen to be worn" in controller.reason
 
 
 def test_a_vest_is_put_on_wherever_the_mannequin_stands():

@@ -66,12 +66,6 @@ def test_over_stretched_cloth_is_refused(limit):
         simulate(APRON, config=config, n_observed=50)
 
 
-def test_exploding_cloth_is_refused_while_it_settles():
-    config = SimulationConfig(stiffness=8.0, frames=30, settle=0.1)
-    with pytest.raises(SimulationError, match="settling"):
-        simulate(APRON, config=config, n_observed=100)
-
-
 # Episodes.
 
 
@@ -166,23 +160,6 @@ def test_an_episode_elsewhere_is_the_same_moved():
     assert task.succeeds(end, tote.named_loops)
     assert task.succeeds(elsewhere, tote.named_loops, place)
     assert not task.succeeds(end, tote.named_loops, place)
-
-
-def test_tasks_and_loops_of_ones_own(tmp_path):
-    mine = dataclasses.replace(APRON, name="mine", loop_names=("strap",), parameters={"scale": 1.0})
-    episode = load_episode(save_episode(tmp_path / "e.npz", simulate(mine, Hook(), config=SHORT, n_observed=50)))
-    assert list(episode.named_loops) == ["strap"]
-    own = simulate(APRON, config=SHORT, n_observed=50)
-    assert list(own.named_loops) == ["neck"]
-    assert "loops" not in own.physics  # the names of the wardrobe are known
-    for names in (["neck", "hem"], ["a", "a"], [[]]):
-        with pytest.raises(ValueError, match="names"):
-            save_episode(tmp_path / "bad.npz", dataclasses.replace(own, physics={"loops": names}))
-
-
-def test_a_small_garment_is_observed_whole_by_default():
-    episode = simulate(WARDROBE["mask"](spacing=0.018), config=SHORT)
-    assert episode.observed.shape == episode.points.shape
 
 
 # Kinds of cloth.
