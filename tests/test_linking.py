@@ -109,14 +109,6 @@ def test_sign_is_the_right_handed_one():
     assert linking_number(circle(), close_far([[0, 0, -1], [0, 0, 1]])) == 1
 
 
-def test_whitehead_is_clasped_although_its_number_is_zero():
-    """Four crossings between the curves, alternately over and under, whose signs cancel."""
-    above = (1, 7, 1000)
-    over = crossings(np.rint(1000 * ELLIPSE), np.rint(1000 * CLASP), above)
-    under = crossings(np.rint(1000 * CLASP), np.rint(1000 * ELLIPSE), above)
-    assert sorted(over) == sorted(under) == [-1, 1]
-
-
 corner = st.tuples(*[st.integers(-6, 6)] * 3)
 curves = st.lists(corner, min_size=3, max_size=9, unique=True).map(lambda c: np.array(c, dtype=float))
 
@@ -164,13 +156,6 @@ def test_batches_equal_single_links():
     assert np.abs(errors).max() < 1e-12
     assert linking_numbers(a, b[3])[0].tolist() == [linking_number(x, b[3]) for x in a]
     assert linking_numbers(a[0], b[0])[0].shape == (1,)
-
-
-def test_thousands_of_segments():
-    """More pairs than are kept in memory at once; the rounding error stays far below one half."""
-    numbers, errors = linking_numbers(torus_curve(3, 2000), torus_curve(3, 2003, np.pi))
-    assert abs(numbers[0]) == 3
-    assert abs(errors[0]) < 1e-9
 
 
 @pytest.mark.parametrize("gap", [1e-3, 1e-6, 1e-9])
@@ -249,14 +234,6 @@ def hanging(request):
     return episode, hook, np.abs(linking_numbers(episode.points[:, episode.loops[0]], hook)[0])
 
 
-def test_an_apron_is_linked_from_some_frame_on(hanging):
-    episode, hook, linked = hanging
-    assert linked[0] == 0
-    assert linked[-1] == 1
-    assert np.abs(np.diff(linked)).sum() == 1
-    assert not linking_numbers(episode.points[:, episode.loops[0]], hook + [0.6, 0, 0])[0].any()
-
-
 def test_the_cycle_of_a_cloud_knows_whether_it_hangs(hanging):
     """Tight around its loop, the cycle winds around the hook just when the true loop does, but for the very passage."""
     episode, hook, linked = hanging
@@ -269,24 +246,6 @@ def test_the_cycle_of_a_cloud_knows_whether_it_hangs(hanging):
             assert abs(linking_number(cycle, hook)) == linked[frame]
 
 
-def test_the_quadrilateral_claims_no_hook_that_is_not_held(hanging):
-    """It misses nearly all that are: among points of cloth a loop can be pulled over a thin arm that touches it.
-
-    The arm is in the narrow end of the opening, the quadrilateral in its widest part. Around a post there the two agree.
-    """
-    episode, hook, linked = hanging
-    states = track(episode.observed)
-    outlines = np.array([state.loops[0].quadrilateral for state in states])
-    claimed = np.abs(linking_numbers(outlines, hook)[0])
-    away = np.abs(np.arange(len(linked)) - np.argmax(linked)) > 2  # from the moment of the passage
-    assert (claimed <= linked)[away].all()
-    assert claimed[linked == 1].mean() < 0.5
-    assert not np.abs(linking_numbers(outlines, hook + [0.6, 0, 0])[0]).any()
-    loop, centre = episode.points[-1, episode.loops[0]], states[-1].loops[0].centre
-    post = close_far([centre - [0, 0.3, 0], centre + [0, 0.3, 0]], start=(0, -1, 0), end=(0, 1, 0))
-    assert abs(linking_number(outlines[-1], post)) == abs(linking_number(loop, post)) == 1
-
-
 def test_far_away_is_where_it_is_said_to_be():
     """Extents of 1, 4 and 2: the leads are 100 times 4 long, whatever the length of the directions."""
     curve = np.array([[0.0, 0, 0], [1, 4, 0], [1, 4, 1], [1, 4, 2]])
@@ -294,16 +253,12 @@ def test_far_away_is_where_it_is_said_to_be():
     np.testing.assert_array_equal(closed[:4], curve)
     assert closed[4:].tolist() == [[1, 4, 402], [-399, 4, 402], [-400, -400, 0], [0, -400, 0]]
     assert close_far(curve, far=10.0)[4].tolist() == [1, 4, 42]
-
-
-@pytest.mark.parametrize("end", [(0.0, 0.0, 1.0), (3.0, 4.0, 0.0), (1.0, 2.0, -2.0)])
-def test_parallel_leads_are_joined_aside(end):
-    closed = close_far([[0.0, 0, 0], [0, 0, 1.0]], start=-np.array(end), end=end)
-    tip, aside = closed[2] - closed[1], closed[3] - closed[2]
-    assert np.linalg.norm(tip) == pytest.approx(100)
-    assert np.linalg.norm(aside) == pytest.approx(100)
-    assert aside @ tip == pytest.approx(0, abs=1e-8)
-    np.testing.assert_allclose(closed[4] - closed[5], aside, atol=1e-9)
+    with pytest.raises(ValueError, match="extent"):
+        close_far([[0, 0, 0], [0, 0, 0]])
+    with pytest.raises(ValueError, match="end"):
+        close_far(curve, end=(0, 0))
+    with pytest.raises(ValueError, match="corners"):
+        close_far([[0, 0, 0]])
 
 
 def test_distances_from_segments_are_those_of_bounded_least_squares():
@@ -355,17 +310,3 @@ MANY = np.stack([SQUARE + [0, 0, k] for k in range(3)])
 def test_a_batch_that_is_none_is_named(a, b, names):
     with pytest.raises(ValueError, match=names):
         linking_numbers(a, b)
-
-
-@pytest.mark.parametrize(
-    ("arguments", "names"),
-    [
-        ({"curve": [[0, 0, 0]]}, r"curve .*\(1, 3\)"),
-        ({"curve": [[0, 0, 0], [0, 0, 0]]}, "extent"),
-        ({"start": (0, 0, 0)}, "start"),
-        ({"end": (0, 0)}, "end"),
-    ],
-)
-def test_a_curve_that_cannot_be_closed_is_named(arguments, names):
-    with pytest.raises(ValueError, match=names):
-        close_far(**{"curve": [[0, 0, 0], [0, 0, 1]], **arguments})

@@ -38,13 +38,6 @@ def test_components_are_those_of_equation_1(loop):
     assert mixture.mean.tolist() != loop.centre.tolist()  # neighbours count
 
 
-def test_loops_in_the_plane():
-    loop = tk.SeqPH(alpha=0.1).update([[0, 0], [2, 0], [2, 2], [0, 2]]).loops[0]
-    mixture = tk.loop_mixture(loop)
-    assert mixture.covariances.shape == (6, 2, 2)  # two killer triangles, four neighbours
-    np.testing.assert_allclose(mixture.mean, [1, 1])
-
-
 def test_log_prob_is_that_of_scikit_learn_and_scipy(loop):
     from sklearn.mixture import GaussianMixture
 
@@ -122,15 +115,6 @@ def test_the_posterior_is_bayes_rule():
     weight = np.exp(log_likelihood - log_likelihood.max())
     expected = np.einsum("n,nij->ij", weight / weight.sum(), draws)
     np.testing.assert_allclose(InverseWishart(0.5, 6).posterior_mean(scatter), expected, atol=1e-3)
-
-
-def test_a_mixture_owns_its_arrays():
-    means = np.zeros((1, 3))
-    mixture = LoopMixture(means, np.eye(3)[None], np.ones(1))
-    means += 1
-    assert mixture.mean.tolist() == [0, 0, 0]
-    with pytest.raises(ValueError, match="read-only"):
-        mixture.means[0, 0] = 5
 
 
 @pytest.mark.parametrize(
