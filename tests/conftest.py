@@ -39,14 +39,6 @@ def hear_ctrl_c() -> None:
     signal.signal(signal.SIGHUP, signal.SIG_DFL)
 
 
-@pytest.fixture
-def ctrl_c() -> Iterator[None]:
-    """The test itself hears Ctrl-C, wherever the suite runs."""
-    before = signal.signal(signal.SIGINT, signal.default_int_handler)
-    yield
-    signal.signal(signal.SIGINT, before)
-
-
 @pytest.fixture(scope="session")
 def episode_path() -> Path:
     """The first recorded apron episode."""

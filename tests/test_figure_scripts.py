@@ -7,22 +7,20 @@ from itertools import combinations
 
 import numpy as np
 import pytest
-from scipy.sparse.csgraph import connected_components, minimum_spanning_tree
 from scipy.spatial.distance import cdist
 from scipy.spatial.transform import Rotation
-from test_figures import HOOK, RING, edge_is_critical, film, some_edges
+from test_figures import HOOK, RING
 
-from chapter_tools import figures
 from chapter_tools.figures.lune_plots import joined_before, lune_components
 from chapter_tools.figures.pages import LOOPS
-from topokit import SeqPH, farthest_point_sample, lemmas, linking_number, loop_mixture, rips_persistence, track
+from topokit import SeqPH, lemmas, linking_number, loop_mixture, rips_persistence
 from topokit.linking import close_far
 from topokit.mixture import LoopMixture
 from topokit.rips import reduction
 from topokit.sampling import spacing
 
 from conftest import polygon
-from pages import by_script, needs_node, page_data
+from pages import by_script, needs_node
 
 pytestmark = needs_node
 SEVEN = [[2.0, 0.0], [9.0, 0.0], [17.0, 0.0], [17.0, 9.0], [9.0, 10.0], [0.0, 9.0], [-4.0, 6.0]]
@@ -78,62 +76,6 @@ def test_loops_are_those_of_rips_persistence_to_the_last_bit():
         assert as_rows(*([loop[key] for loop in answer["loops"]] for key in keys)) == expected
         count += len(diagram)
     assert count > 1000
-
-
-def test_components_merge_along_a_spanning_tree():
-    cloud = np.random.default_rng(4).normal(size=(35, 2))
-    [answer] = answers(LOOPS, RIPS, [cloud])
-    np.testing.assert_allclose(answer["merges"], np.sort(minimum_spanning_tree(cdist(cloud, cloud)).data) / 2)
-    assert answer["edges"] == 35 * 34 // 2
-
-
-FILM = """({ film }) => {
-  const all = unpack(film), [frames, n] = film.shape;
-  return Array.from({ length: frames }, (_, t) => {
-    const points = Array.from({ length: n }, (_, v) => [...all.subarray(3 * (n * t + v), 3 * (n * t + v + 1))]);
-    return { points, loops: rips(points).loops.map((loop) => ({ ...loop, cycle: loop.cycle })) };
-  });
-}"""
-
-
-def test_the_loops_of_a_film_are_topokits_on_the_points_of_the_page():
-    [frames] = by_script(["orbit.js", *LOOPS], FILM, [page_data(figures.growth(film()))])
-    for cloud, frame in zip(film(), frames, strict=True):
-        np.testing.assert_allclose(frame["points"], cloud, rtol=1e-6)
-        diagram = rips_persistence(np.array(frame["points"]))
-        assert len(frame["loops"]) == len(diagram) > 0
-        for i, loop in enumerate(frame["loops"]):
-            assert (loop["birth"], loop["death"]) == (diagram.birth[i], diagram.death[i])
-            assert loop["birthEdge"] == diagram.birth_edge[i].tolist()
-            assert loop["killerEdge"] == diagram.killer_edge[i].tolist()
-            assert loop["triangles"] == diagram.killer_triangles[i].tolist()
-            assert loop["cycle"] == diagram.cycle(i).tolist()
-
-
-THINNED = """({ points }) => {
-  const cloud = Float64Array.from(unpack(points)), n = points.shape[0], { ids, radii } = farthestPoints(cloud, n, 3, n);
-  const lives = Array.from(ids, (_, k) => {
-    const { births, deaths } = ripsKernel().persistence(subcloud(cloud, 3, ids.subarray(0, k + 1)), k + 1, 3);
-    return Array.from(deaths, (death, i) => death - births[i]);
-  });
-  return { points: [...cloud], ids: [...ids], radii: [...radii], lives };
-}"""
-
-
-def test_every_sample_of_a_thinned_cloud_has_topokits_radius_and_lifetimes():
-    [answer] = by_script(
-        ["sampling.js", "rips.js", "orbit.js"], THINNED, [page_data(figures.thinned(film()[0], start=9, least=5))]
-    )
-    cloud = np.reshape(answer["points"], (-1, 3))
-    np.testing.assert_allclose(cloud, film()[0], rtol=1e-6)
-    with_loops = 0
-    for k, lives in enumerate(answer["lives"], start=1):
-        chosen, radius = farthest_point_sample(cloud, k)
-        assert answer["ids"][:k] == chosen.tolist()
-        assert answer["radii"][k - 1] == pytest.approx(radius)
-        assert lives == rips_persistence(cloud[chosen]).lifetime.tolist()
-        with_loops += len(lives) > 0
-    assert with_loops > 20
 
 
 def test_the_spacing_of_a_cloud_is_topokits():
@@ -268,44 +210,9 @@ def test_matchings_have_the_bottleneck_of_the_library():
     assert matched > 100
 
 
-ATTACK = """([points, epsilon]) => {
-  const lives = [];
-  let moved = points, loops;
-  for (let k = 0; k < 150 && (loops = rips(moved).loops).length; k++) {
-    lives.push(loops[0].death - loops[0].birth);
-    moved = push(moved, points, loops[0], epsilon, 1 - k / 150);
-  }
-  return { lives, moved };
-}"""
-
-
-def test_the_adversary_reaches_the_bound_and_never_beats_it():
-    """The attack stays within epsilon, and leaves the lifetime minus 2 epsilon."""
-    five = lemmas.COUNTEREXAMPLES["a loop that five points lose"].before
-    cases = []
-    for cloud in [five, *rings(3, 3, 8, 30)]:
-        lifetime = rips_persistence(cloud).lifetime[0]
-        cases += [(cloud, lifetime, share * lifetime) for share in (0.2, 0.4, 0.505)]
-    given = [(cloud.tolist(), epsilon) for cloud, _, epsilon in cases]
-    for (cloud, lifetime, epsilon), answer in zip(
-        cases, by_script([*LOOPS, "adversary.js"], ATTACK, given), strict=True
-    ):
-        assert answer["lives"][0] == pytest.approx(lifetime)
-        assert min(answer["lives"]) >= lifetime - 2 * epsilon - 1e-12
-        assert np.linalg.norm(np.array(answer["moved"]) - cloud, axis=1).max() <= epsilon * (1 + 1e-12)
-        if cloud is five and epsilon < lifetime / 2:
-            assert min(answer["lives"]) < lifetime - 1.9 * epsilon
-        elif cloud is five:
-            assert len(answer["lives"]) < 150  # the loop is gone
-
-
 # ---- critical edges: lens.js
 
 LENS = [*LOOPS, "lens.js"]
-CRITICAL = """([points, x, y, alpha, epsilon]) => {
-  const table = distancesOf(points);
-  return { critical: isCritical(table, x, y, alpha, epsilon), hardest: hardest(table, x, y, alpha, epsilon) };
-}"""
 BETAS = """([points, alpha, epsilon]) => {
   const [{ killerEdge, death }] = rips(points).loops, table = distancesOf(points);
   return [betaAll(table, killerEdge, death, alpha), betaCritical(table, killerEdge, death, alpha, epsilon)];
@@ -320,42 +227,6 @@ def holed_clouds(count: int, seed: int) -> list[np.ndarray]:
     return [ring + rng.normal(0, 0.08, ring.shape) for _ in range(count)]
 
 
-def joined(distances: np.ndarray, x: int, y: int, alpha: float, epsilon: float, path: list, slack: float) -> bool:
-    """Return whether a path joins the ends of `path` when every limit of `beta_critical` is `slack` longer."""
-    length = distances[x, y]
-    end = length - alpha - 4 * epsilon + slack
-    inner = np.flatnonzero(np.maximum(distances[x], distances[y]) < end)
-    inner = np.setdiff1d(inner, [x, y])
-    steps = distances[np.ix_(inner, inner)] < end - alpha
-    _, label = connected_components(steps)
-    touched = [set(label[distances[end_point, inner] < end]) for end_point in (path[0], path[-1])]
-    return bool(touched[0] & touched[1])
-
-
-def test_edges_are_critical_as_in_the_library_and_the_path_of_the_hardest_pair_decides_it():
-    rng = np.random.default_rng(3)
-    cases = []
-    for cloud in holed_clouds(5, 3):
-        for alpha, epsilon in ((0.0, 0.0), (0.15, 0.0), (0.1, 0.02)):
-            cases += [(cloud, x, y, alpha, epsilon) for x, y in some_edges(cloud, rng, 15)]
-    given = [(cloud.tolist(), *rest) for cloud, *rest in cases]
-    verdicts = []
-    for (cloud, *edge), answer in zip(cases, by_script(LENS, CRITICAL, given), strict=True):
-        distances = cdist(cloud, cloud)
-        critical = edge_is_critical(distances, *edge)
-        assert answer["critical"] == critical
-        verdicts.append(critical)
-        if answer["hardest"] is None:  # no two points of the lens are far enough apart
-            assert not critical
-            continue
-        path, excess = answer["hardest"]["path"], answer["hardest"]["excess"]
-        assert critical == (excess >= 0)
-        assert len(path) > 2
-        assert joined(distances, *edge, path, excess + 1e-9)
-        assert not joined(distances, *edge, path, excess - 1e-9)
-    assert 20 < sum(verdicts) < len(verdicts) - 20
-
-
 def test_betas_are_those_of_the_library():
     clouds = [*holed_clouds(3, 1), *rings(6, 4)]
     cases = [(cloud, alpha, epsilon) for cloud in clouds for alpha, epsilon in ((0.0, 0.0), (0.12, 0.01), (0.0, 0.05))]
@@ -364,39 +235,6 @@ def test_betas_are_those_of_the_library():
         every = lemmas.beta_all(cloud, alpha, min_lifetime=0.0).value[0]
         critical = lemmas.beta_critical(cloud, alpha, epsilon, min_lifetime=0.0).value[0]
         np.testing.assert_allclose(answer, [every, critical])
-
-
-COROLLARY = """([points, first, second]) => {
-  const scene = scenery(points), [a, b] = [first, second].map((hidden) => observer(scene, hidden));
-  return { killers: [a.killer, b.killer], ...compared(scene, a, b) };
-}"""
-
-
-def test_two_observers_are_compared_as_by_the_corollary():
-    """The seven points of the counterexample, and rings of which one or two points are hidden."""
-    rng = np.random.default_rng(2)
-    case = lemmas.COUNTEREXAMPLES["killers two beta apart"]
-    cases = [(case.before, [6], [4]), (case.before, [6], []), (case.before, [0], [4])]
-    some = rings(40, 8, 7, 20)
-    cases += [(ring, *(rng.choice(len(ring), k, replace=False).tolist() for k in (1, 2))) for ring in some]
-    given = [(cloud.tolist(), *hidden) for cloud, *hidden in cases]
-    promised = refuted = 0
-    scripts = [*LENS, "assign.js", "match.js", "corollary.js"]
-    for (cloud, *hidden), answer in zip(cases, by_script(scripts, COROLLARY, given), strict=True):
-        seen = [np.delete(np.arange(len(cloud)), missed) for missed in hidden]
-        check = lemmas.corollary(cloud, seen[0], cloud, seen[1])
-        assert answer["alpha"] == pytest.approx(check.alpha)
-        row = next((row for row in check.loops if row.loop == 0 and row.bounds), None)
-        if row is None or "corrected" not in row.bounds:
-            assert answer["corrected"] is None
-            continue
-        assert answer["distance"] == pytest.approx(row.statistic)
-        assert answer["paper"] == pytest.approx(row.bounds["paper"])
-        assert answer["corrected"] == pytest.approx(row.bounds["corrected"])
-        promised += 1
-        refuted += answer["distance"] > answer["paper"]
-    assert promised > 10
-    assert refuted >= 1
 
 
 # ---- places of a loop: places.js
@@ -421,14 +259,6 @@ def test_the_places_of_a_loop_are_topokits():
         np.testing.assert_allclose(answer["centroid"], centroid, atol=1e-12)
         seen += 1
     assert 50 < seen < len(clouds)
-
-
-def test_a_billionth_moves_the_killer_edge_of_a_hexagon_and_nothing_else():
-    hexagon = lemmas.COUNTEREXAMPLES["the sides of a hexagon"].before
-    call = "(points) => moved(places(nudged(points, 0, true, -1e-9)), places(nudged(points, 0, true, 1e-9)))"
-    [[edge, thick, cycle]] = answers(PLACES, call, [hexagon])
-    assert edge == pytest.approx(2 * rips_persistence(hexagon).death[0], rel=1e-6)
-    assert max(thick, cycle) < 1e-8
 
 
 # ---- which bars are loops: rules.js
@@ -472,50 +302,7 @@ def test_both_rules_keep_the_loops_that_the_tracker_keeps():
     assert {(0, 0), (0, 1), (1, 1), (0, 2), (2, 2)} <= kept
 
 
-def test_a_stray_point_takes_the_papers_loop_and_not_the_other():
-    clouds = [np.vstack([polygon(20, 2.0), [[2 + distance, 0.1]]]) for distance in (0.3, 2, 6, 60)]
-    kept = [[rule["kept"] for rule in rules] for rules in answers(RULE_SCRIPTS, RULES, clouds)]
-    assert kept == [[1, 1], [1, 1], [0, 1], [0, 1]]
-
-
 # ---- belief along a film: evidence.js
-
-BELIEF = """({ frames, d }) => {
-  const clouds = frames.map((points) => Float64Array.from(points.flat()));
-  const { track } = seqphKernel(kernel, assign), states = track(clouds, d);
-  const strength = states.map(({ evidence: [first] }) => Math.exp(first / 5)), beliefs = beliefsOf(strength);
-  return { beliefs, tracked: states.map(({ loops: [loop] }) => (loop ? loop.belief : null)) };
-}"""
-
-
-def test_belief_adds_up_as_in_the_tracker():
-    """A ring of many points and of few by turns; the tracker of the page is that of the library, by another test."""
-    rng = np.random.default_rng(4)
-    counts = [24, 24, 16, 12, 10, 8, *[6] * 4, *[5] * 14, 6, 8, 10, 12, 16, *[24] * 8]
-    clouds = [polygon(n) + rng.normal(0, 0.02, (n, 2)) for n in counts]
-    scripts = [*LOOPS, "assign.js", "seqph.js", "evidence.js"]
-    [answer] = by_script(scripts, BELIEF, [{"frames": [cloud.tolist() for cloud in clouds], "d": 2}])
-    reported = [len(state) > 0 for state in track(clouds)]
-    assert [belief > 0 for belief in answer["beliefs"]] == reported
-    assert 3 < sum(reported) < len(reported) - 3
-    pairs = [(b, t) for b, t in zip(answer["beliefs"], answer["tracked"], strict=True) if t is not None]
-    np.testing.assert_allclose(*np.transpose(pairs))
-
-
-def test_a_higher_threshold_lowers_the_belief_and_without_memory_it_is_the_evidence():
-    rng = np.random.default_rng(0)
-    found = rng.uniform(
-        1, 2.5, 200
-    )  # by no threshold below 1.6 is one missed: a missed frame counts less than a weak one
-    weak = rng.uniform(0.4, 2.5, 200)
-    cases = [(found, {}), (found, {"threshold": 1.5}), (weak, {"kept": 0.0})]
-    given = [[strength.tolist(), options] for strength, options in cases]
-    call = "([strength, options]) => beliefsOf(strength, options)"
-    usual, strict, forgetful = np.array(by_script(["evidence.js"], call, given))
-    assert (strict < usual).sum() > 100
-    assert (strict <= usual).all()
-    evidence = np.clip(5 * np.log(weak), -3, 2)
-    np.testing.assert_allclose(forgetful, np.where(evidence > -2.5, evidence, -1.0))
 
 
 # ---- names by gates: follow.js

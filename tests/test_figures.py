@@ -14,7 +14,7 @@ import pytest
 from scipy.spatial.distance import cdist
 
 from chapter_tools import figures
-from chapter_tools.figures.lune_plots import joined_before, lens_witness, lune_components
+from chapter_tools.figures.lune_plots import joined_before, lune_components
 from topokit import farthest_point_sample, lemmas, rips_persistence, track, view
 from topokit.io import Episode, load_episode
 from topokit.sim import WARDROBE
@@ -117,51 +117,6 @@ def test_a_page_is_whole_and_its_script_loads(name):
     subprocess.run(["node", "--check", "-"], input=script, text=True, capture_output=True, check=True)
 
 
-def test_pages_keep_every_digit_of_their_points():
-    points = np.random.default_rng(0).normal(size=(24, 2)) / 3
-    for figure in (figures.growth(points), figures.coverage(points, [0]), figures.motion(points, 1)):
-        np.testing.assert_array_equal(page_data(figure)["points"], points)
-    np.testing.assert_array_equal(page_data(figures.nudge({"a cloud": points}))["shapes"]["a cloud"], points)
-
-
-@pytest.mark.parametrize(
-    ("draw", "shape"),
-    [
-        (lambda: figures.growth(np.zeros((61, 2))), "(61, 2)"),
-        (lambda: figures.growth(np.zeros((17, 3, 3))), "(17, 3, 3)"),
-        (lambda: figures.coverage(np.zeros((5, 3)), [0]), "(5, 3)"),
-        (lambda: figures.nudge({"cloud": np.zeros((25, 2))}), "(25, 2)"),
-        (lambda: figures.thinned(np.zeros((601, 3))), "(601, 3)"),
-        (lambda: figures.thinned(np.zeros((9, 3)), start=10, least=5), "(9, 3)"),
-    ],
-)
-def test_a_cloud_that_cannot_be_shown_is_refused(draw, shape):
-    with pytest.raises(ValueError, match=re.escape(shape)):
-        draw()
-
-
-def test_a_film_opens_in_its_middle_and_ends_after_the_last_death():
-    data = page_data(figures.growth(film()))
-    last_death = max(rips_persistence(cloud).death.max() for cloud in film())
-    assert data["frame"] == 1
-    assert data["end"] == pytest.approx(1.15 * last_death, rel=1e-4)
-    np.testing.assert_allclose(unpack(data["film"]), film(), rtol=1e-6)
-    assert page_data(figures.growth([np.eye(3)]))["end"] == 1.0  # a film without loops
-
-
-def test_gates_store_the_long_bars_of_every_frame():
-    clouds = film() / 100
-    data = page_data(figures.gates(clouds, alpha=0.01, beta=0.1, epsilon=0.02))
-    diagrams = [rips_persistence(cloud, min_lifetime=0.005) for cloud in clouds]
-    assert data["counts"] == [len(diagram) for diagram in diagrams]
-    bars = unpack(data["bars"])
-    np.testing.assert_allclose(bars[:, 0], np.concatenate([diagram.birth for diagram in diagrams]), rtol=1e-6)
-    ends = np.concatenate([cloud[diagram.killer_edge] for cloud, diagram in zip(clouds, diagrams, strict=True)])
-    np.testing.assert_allclose(bars[:, 2:].reshape(-1, 2, 3), ends, rtol=1e-6)
-    dots = unpack(data["cloud"]) * data["scale"] + data["low"]
-    assert all(abs(clouds[0] - dot).max(axis=1).min() < 0.0006 for dot in dots[0])
-
-
 def test_verdicts_are_those_of_the_library_for_every_step_of_both_sliders():
     before, after = film()[:2] / 100
     data = page_data(figures.verdicts(before, after, levels=(4, 3)))
@@ -191,38 +146,6 @@ def test_verdicts_are_those_of_the_library_for_every_step_of_both_sliders():
                 assert numbers[a, e, s, v].tolist() == pytest.approx([verdict.statistic, verdict.bound], rel=1e-6)
                 found.add(outcome)
     assert found >= {"no loop", "true", "false"}
-
-
-def test_the_data_flow_highlights_its_stages():
-    assert figures.data_flow("loops", "tracks").svg.count('font-weight="600"') == 2
-    with pytest.raises(ValueError, match="'hook'"):
-        figures.data_flow("hook")
-
-
-@pytest.mark.parametrize("name", ["motion", "unseen"])
-def test_shares_hold_every_cell_of_the_file(name):
-    recorded = results(name)
-    data = page_data(figures.shares(recorded, MEASURES))
-    cells = unpack(data["cells"])
-    counts = unpack(data["counts"])
-    models = list(next(iter(recorded["conditions"].values()))["hull_accuracy"])
-    present = 0
-    for index in np.ndindex(cells.shape[:-1]):
-        c, g, w, m, h = index
-        tables = recorded["conditions"][data["condition"][c]]
-        if g:
-            tables = tables.get("by_garment", {}).get(data["garment"][g], {})
-        measure = MEASURES[data["measure"][w]]
-        table = tables.get("hull_treatments", {}).get(measure) or tables.get(measure, {})
-        cell = table.get(models[m], {}).get(data["horizon"][h])
-        if cell is None:
-            assert cells[index].tolist() == [65535] * 3
-            continue
-        expected = [65535 if cell[key] is None else round(1e4 * cell[key]) for key in ("mean", "low", "high")]
-        assert cells[index].tolist() == expected
-        assert counts[c, g, w, h, 0] == cell["n"]
-        present += 1
-    assert present > 900
 
 
 # ---- drawings of lunes and lenses
@@ -317,29 +240,3 @@ def test_a_lens_shows_what_beta_critical_decides():
                 assert axes.get_title() == ("critical" if critical else "not critical")
                 verdicts.append(critical)
     assert 25 < sum(verdicts) < len(verdicts) - 25
-
-
-def test_the_path_of_a_lens_survives_the_motion():
-    rng = np.random.default_rng(4)
-    alpha = 0.05
-    epsilon = 0.01
-    paths = 0
-    for _ in range(20):
-        cloud = rng.uniform(-1, 1, (60, 2))
-        distances = cdist(cloud, cloud)
-        for x, y in some_edges(cloud, rng, 10):
-            length = distances[x, y]
-            farther = np.maximum(distances[x], distances[y])
-            pair, path, inner = lens_witness(distances, x, y, alpha, epsilon)
-            assert (farther[inner] < length - alpha - 4 * epsilon).all()
-            if len(pair):
-                assert distances[pair[0], pair[1]] >= length - 4 * epsilon
-                assert (farther[pair] <= length + 4 * epsilon).all()
-            if len(path):
-                steps = distances[path[:-1], path[1:]]
-                assert [path[0], path[-1]] == pair.tolist()
-                assert set(path[1:-1]) <= set(inner)
-                assert steps[[0, -1]].max() < length - alpha - 4 * epsilon
-                assert steps[1:-1].max(initial=0) < length - 2 * alpha - 4 * epsilon
-                paths += 1
-    assert paths > 30

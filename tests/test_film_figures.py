@@ -6,18 +6,15 @@ from itertools import pairwise
 
 import numpy as np
 import pytest
-from scipy.interpolate import CubicSpline
 from scipy.spatial.distance import cdist
 from scipy.spatial.transform import Rotation
-from test_figures import tube_film
 
-from chapter_tools import figures
 from topokit import linking_number
-from topokit.evaluate import Overlap, TrueCurves, distance_to_hull, score, true_loops
+from topokit.evaluate import Overlap, TrueCurves, distance_to_hull, score
 from topokit.linking import close_far
 
 from conftest import polygon
-from pages import by_script, needs_node, page_data, unpack
+from pages import by_script, needs_node
 
 pytestmark = needs_node
 
@@ -89,16 +86,6 @@ def test_a_painted_strip_is_scored_as_by_topokit():
     assert_scored_alike(by_script(SCORES, SCORE, films), films)
 
 
-@pytest.mark.parametrize("rows", [["ab", "a"], [""], ["ag"], ["ab", "ac"], []])
-def test_names_that_cannot_be_painted_are_refused(rows):
-    with pytest.raises(ValueError, match="'a film'"):
-        figures.repaint({"a film": rows})
-
-
-def test_a_strip_has_the_names_that_were_given():
-    assert page_data(figures.repaint({"two": ["aa-", "bbb"]}))["films"] == {"two": ["aa-", "bbb"]}
-
-
 # ---- the hull measure: hulls.js
 
 HULL = "({ point, points }) => hullDistance(point, points)"
@@ -162,18 +149,6 @@ def test_treatments_judge_as_topokit_does():
     assert len(set(inside)) > 3
 
 
-def test_a_garment_is_packed_with_its_true_loops():
-    film, hole = tube_film()
-    means = {"one": np.full((2, 1, 3), np.nan)}
-    data = page_data(figures.treatments(film, {"hole": hole}, means, [5, 60]))
-    [loop] = data["loops"]
-    np.testing.assert_allclose(unpack(loop["curve"]), film[:, hole], atol=1e-6)
-    assert loop["present"] == [true.present[0] for true in true_loops(film, [hole])]
-    assert not unpack(data["seen"]).any()
-    with pytest.raises(ValueError, match="2"):
-        figures.treatments(film, {"hole": hole}, means, [5])
-
-
 # ---- paths over a guide: guide.js
 
 CLOSED_RING = 0.12 * np.insert(polygon(12), 1, 0.0, axis=1)
@@ -181,12 +156,6 @@ LINE = np.array([[0, 0.5, 0], [0, 0.5, 1.2], [0, 0.3, 1.2], [0, 0.3, 1.26]])
 FIELD = """({ ring, line, closed, places }) => {
   const field = fieldOf(ring, line, closed);
   return places.map(([y, z]) => [field.around(y, z), field.guide(y, z), field.gap(y, z)]);
-}"""
-PATHS = "({ knots }) => [WEIGHTS, pathOf(knots, [0, 0])]"
-RUN = """({ ring, line, closed, asked }) => {
-  const { frames, done } = runOf([-0.25, 1], fieldOf(ring, line, closed), asked);
-  const costs = (rounds) => rounds.map((round) => round.map(({ cost }) => cost));
-  return { done, frames: frames.map(({ at, guide, rounds }) => ({ at, guide, rounds: costs(rounds) })) };
 }"""
 GUIDE = ["link.js", "guide.js"]
 
@@ -220,64 +189,7 @@ def test_the_guide_of_a_place_is_the_chapters():
     assert 20 < linked < 150
 
 
-def test_paths_are_natural_splines_within_the_limits_of_speed():
-    knots = np.random.default_rng(5).normal(0, 0.3, (5, 2))
-    [(weights, path)] = by_script(GUIDE, PATHS, [{"knots": knots.tolist()}])
-    times = [0, 8, 18, 30, 44, 60]
-    spline = CubicSpline(times, np.vstack([[0, 0], knots]), bc_type="natural")
-    np.testing.assert_allclose(np.array(weights) @ knots, spline(np.arange(1, 61)), atol=1e-12)
-    steps = np.diff(np.vstack([[0, 0], path]), axis=0)
-    changes = np.diff(np.vstack([[0, 0], steps]), axis=0)
-    assert abs(steps).max() <= 0.026 + 1e-12
-    assert abs(changes).max() <= 0.0026 + 1e-12
-
-
-def test_more_paths_bring_the_ring_to_the_seat_and_rounds_never_make_the_best_worse():
-    few, many = ({"plans": n, "rounds": 2, "guess": False} for n in (2, 40))
-    asked = [few | {"seed": seed} for seed in range(3)] + [many | {"seed": seed} for seed in (0, 1, 2, 0)]
-    runs = by_script(GUIDE, RUN, [scene(asked=one) for one in asked])
-    assert [run["done"] for run in runs] == 3 * [False] + 4 * [True]
-    assert runs[-1] == runs[3]  # the same seed
-    assert runs[3] != runs[4]
-    for run in runs[3:]:
-        assert run["frames"][-1]["guide"] < 0.03
-        for frame in run["frames"][:-1]:
-            assert [len(costs) for costs in frame["rounds"]] == [40, 40]
-            assert frame["rounds"][1][0] <= frame["rounds"][0][0]
-            assert frame["rounds"][0] == sorted(frame["rounds"][0])
-
-
 # ---- a scene that is turned: turns.js
-
-TURN = "({ forecast, truth, degrees, centre }) => errorsOf(forecast, truth, degrees, centre)"
-
-
-def test_errors_in_a_turned_scene():
-    """A forecast that turns with the scene errs alike at each angle; the error of one that stays is the way of the scene."""
-    rng = np.random.default_rng(6)
-    truth = rng.normal(size=(7, 3))
-    centre = rng.normal(size=2)
-    about = np.append(centre, 0.0)
-    shift = [0.0, 0.0, 0.3]
-    cases = []
-    for degrees in (0, 30, 90, 180):
-        turn = Rotation.from_euler("z", degrees, degrees=True)
-        scene = turn.apply(truth - about) + about
-        cases += [(scene + shift, degrees, np.full(7, 0.3)), (truth, degrees, np.linalg.norm(scene - truth, axis=1))]
-    given = [
-        {"forecast": forecast.tolist(), "truth": truth.tolist(), "degrees": degrees, "centre": centre.tolist()}
-        for forecast, degrees, _ in cases
-    ]
-    np.testing.assert_allclose(by_script(["turns.js"], TURN, given), [expected for *_, expected in cases], atol=1e-12)
-
-
-def test_forecasts_of_other_numbers_of_angles_are_refused():
-    forecasts = {"one": np.zeros((2, 3, 3))}
-    assert page_data(figures.turning(forecasts, np.zeros((3, 3)), np.zeros((2, 3)), [0, 90], [1, 2, 3]))["names"] == [
-        "one"
-    ]
-    with pytest.raises(ValueError, match="3"):
-        figures.turning(forecasts, np.zeros((3, 3)), np.zeros((2, 3)), [0, 45, 90], [1, 2, 3])
 
 
 # ---- a forecaster that copies: copycat.js

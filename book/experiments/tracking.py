@@ -12,7 +12,6 @@ percentiles over bootstrap samples of episodes. With --clips a few frames around
 from __future__ import annotations
 
 import argparse
-import contextlib
 import dataclasses
 import json
 import platform
@@ -25,6 +24,7 @@ from typing import Any
 import numpy as np
 import pandas as pd
 from tables import draw_episodes, write_results
+from tqdm import tqdm
 
 import topokit as tk
 from topokit.evaluate import Overlap, TrackingScore, TrueLoops, compare, distance_to_hull, events, score, true_loops
@@ -96,10 +96,9 @@ def simulated(folder: Path, seeds: Iterable[int]) -> list[Path]:
     """Return the files of all episodes; those that are missing are simulated. A refused one leaves a note of the reason."""
     wanted = [(task, seed) for seed in seeds for task in FILMED]
     folder.mkdir(parents=True, exist_ok=True)
-    for done, (task, seed) in enumerate(wanted):
+    for task, seed in tqdm(wanted, "films", unit="film"):
         path = folder / f"{task}_{seed}.npz"
         if not path.exists() and not path.with_suffix(".rejected").exists():
-            tell(f"simulating {path.stem}, {done + 1} of {len(wanted)}")
             try:
                 episode = simulate(
                     task=task,
@@ -332,9 +331,6 @@ def summary(rows: list[dict[str, Any]]) -> dict[str, Any]:
             for garment in garments
         },
         "places": {condition: where(rows, condition) for condition in rows[0]["places"]},
-        "places_by_garment": {
-            garment: where([row for row in rows if garment_of(row) == garment], "all vertices") for garment in garments
-        },
         "failures": listed([failure for row in rows for failure in row["failures"]]),
     }
 
@@ -398,14 +394,10 @@ def garment_of(row: dict[str, Any]) -> str:
 
 def scored(paths: list[Path], results: Path) -> list[dict[str, Any]]:
     """Return a row for each episode. Rows that are in the file already are kept: delete it after a change of the code."""
-    known: dict[str, dict[str, Any]] = {}
-    for line in results.read_text().splitlines() if results.exists() else []:
-        with contextlib.suppress(json.JSONDecodeError):  # the last line of a run that was killed while writing it
-            row = json.loads(line)
-            known[row["episode"]] = row
-    for done, path in enumerate(paths):
+    lines = results.read_text().splitlines() if results.exists() else []
+    known = {row["episode"]: row for row in map(json.loads, lines)}
+    for path in tqdm(paths, "tracking", unit="film"):
         if path.stem not in known:
-            tell(f"tracking {path.stem}, {done + 1} of {len(paths)}")
             known[path.stem] = row_of(path)
             with results.open("a") as file:
                 file.write(json.dumps(known[path.stem]) + "\n")
@@ -458,34 +450,12 @@ def clip(folder: Path, failure: dict[str, Any], path: Path, around: int = 3) -> 
     save_states(path.with_suffix(".tracks.npz"), states)
 
 
-def tell(message: str) -> None:
-    """Print progress, on one line."""
-    print(f"\r\033[K{message}", end="", file=sys.stderr, flush=True)
-
-
 def version() -> str:
     """Return the commit that made the rows, when there is one."""
     done = subprocess.run(
         ["git", "describe", "--always", "--dirty"], cwd=Path(__file__).parent, capture_output=True, text=True
     )
     return done.stdout.strip() or "unknown"
-
-
-def print_table(answer: dict[str, Any]) -> None:
-    """Print the scores."""
-    for condition, trackers in answer["scores"].items():
-        print(
-            f"\n{condition}\n{'':40}"
-            + "".join(f"{name:>24}" for name in ("MOTA", "IDF1", "HOTA", "AssA"))
-            + "  switches"
-        )
-        for tracker, line in trackers.items():
-            cells = [
-                f"{line[n]:.3f} [{line[n + '_interval'][0]:.3f}, {line[n + '_interval'][1]:.3f}]"
-                for n in MEASURES
-                if n != "deta"
-            ]
-            print(f"{tracker:40}" + "".join(f"{cell:>24}" for cell in cells) + f"{line['switches']:10d}")
 
 
 def main() -> None:
@@ -498,7 +468,6 @@ def main() -> None:
     options = parser.parse_args()
     paths = simulated(options.episodes, range(options.seeds))
     rows = scored(paths, options.episodes / "scores.jsonl")
-    tell("")
     command = (
         f"python book/experiments/tracking.py --episodes DIR --seeds {options.seeds} --out book/results/tracking.json"
     )
@@ -509,7 +478,6 @@ def main() -> None:
         "recommended": RECOMMENDED,
         **summary(rows),
     }
-    print_table(answer)
     if options.out:
         write_results(options.out, answer)
     if options.clips:
