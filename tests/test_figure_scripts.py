@@ -17,7 +17,6 @@ from topokit import SeqPH, lemmas, linking_number, loop_mixture, rips_persistenc
 from topokit.linking import close_far
 from topokit.mixture import LoopMixture
 from topokit.rips import reduction
-from topokit.sampling import spacing
 
 from conftest import polygon
 from pages import by_script, needs_node
@@ -76,14 +75,6 @@ def test_loops_are_those_of_rips_persistence_to_the_last_bit():
         assert as_rows(*([loop[key] for loop in answer["loops"]] for key in keys)) == expected
         count += len(diagram)
     assert count > 1000
-
-
-def test_the_spacing_of_a_cloud_is_topokits():
-    rng = np.random.default_rng(7)
-    clouds = [rng.normal(size=(int(n), 2)).round(int(digits)) for n, digits in rng.integers([1, 0], [30, 4], (60, 2))]
-    clouds += [np.ones((1, 2)), np.ones((3, 2))]
-    call = "(points) => Math.max(...placeGaps(Float64Array.from(points.flat()), points.length, 2)) / 2"
-    np.testing.assert_allclose(answers(["sampling.js"], call, clouds), list(map(spacing, clouds)))
 
 
 # ---- lunes and the boundary matrix

@@ -14,7 +14,6 @@ import pytest
 from scipy.spatial.distance import cdist
 
 from chapter_tools import figures
-from chapter_tools.figures.lune_plots import joined_before, lune_components
 from topokit import farthest_point_sample, lemmas, rips_persistence, track, view
 from topokit.io import Episode, load_episode
 from topokit.sim import WARDROBE
@@ -170,28 +169,6 @@ def test_a_lune_is_drawn_by_its_components(apexes, title):
     axes = figures.plot_lune(np.array([[0.0, 0.0], [2.0, 0.0], *apexes]), (1, 0))
     assert axes.get_title() == title
     assert len(filled(axes)) == (2 if title == "2 components" else 0)
-
-
-def test_ties_go_by_index():
-    rectangle = [[0, 0], [4, 0], [4, 3], [0, 3]]
-    assert figures.plot_lune(rectangle, (0, 2)).get_title() == "2 components"
-    assert figures.plot_lune(rectangle, (1, 3)).get_title() == "connected"  # the other diagonal came before
-
-
-def test_the_filled_triangles_are_the_killer_triangles():
-    cloud = np.random.default_rng(5).normal(size=(40, 2))
-    diagram = rips_persistence(cloud)
-    assert len(diagram) > 3
-    for edge, triangles in zip(diagram.killer_edge, diagram.killer_triangles, strict=True):
-        axes = figures.plot_lune(cloud, edge, plt.figure().add_subplot())
-        assert filled(axes) == {frozenset(map(tuple, cloud[triangle].tolist())) for triangle in triangles}
-
-
-def test_only_disconnected_lunes_kill():
-    cloud = np.random.default_rng(6).normal(size=(25, 2))
-    edges = np.column_stack(np.triu_indices(25, 1)).tolist()
-    disconnected = {(x, y) for x, y in edges if len(lune_components(joined_before(cloud, x, y), x, y)) > 1}
-    assert disconnected.issuperset(map(tuple, rips_persistence(cloud).killer_edge.tolist()))
 
 
 def some_edges(cloud: np.ndarray, rng: np.random.Generator, count: int) -> list:

@@ -25,10 +25,6 @@ SCORE = """(frames) => {
   const { matches, switches, misses, extra, mota, idf1, hota, deta, assa } = scoreOf(frames);
   return [matches, switches, misses, extra, mota, idf1, hota, deta, assa];
 }"""
-PAINT = """({ rows, strokes, similarity }) => {
-  const done = strokes.reduce((now, [row, t, name]) => painted(now, row, t, name), rows);
-  return { rows: done, frames: framesOf(done, similarity) };
-}"""
 SCORES = ["assign.js", "scores.js"]
 
 
@@ -61,29 +57,6 @@ def test_films_are_scored_as_by_topokit():
     answers = by_script(SCORES, SCORE, films)
     assert_scored_alike(answers, films)
     assert sum(answer[1] for answer in answers) > 100  # switches
-
-
-def test_a_painted_strip_is_scored_as_by_topokit():
-    rng = np.random.default_rng(1)
-    cases = []
-    for _ in range(40):
-        rows = [list("aaaaaaaaa"), list("bbbbbbbbb"), [""] * 9]
-        strokes = [
-            [int(rng.integers(3)), int(rng.integers(9)), str(rng.choice(["a", "b", "c", ""]))] for _ in range(12)
-        ]
-        cases.append({"rows": rows, "strokes": strokes, "similarity": float(rng.choice([0.4, 0.5, 0.75, 1.0]))})
-    films = []
-    for case, answer in zip(cases, by_script([*SCORES, "repaint.js"], PAINT, cases), strict=True):
-        for (row, t, name), last in zip(case["strokes"], range(len(case["strokes"])), strict=True):
-            if not any(stroke[1] == t for stroke in case["strokes"][last + 1 :]):  # no later stroke in that frame
-                assert answer["rows"][row][t] == name
-        for names in zip(*answer["rows"], strict=True):
-            given = [name for name in names if name]
-            assert len(given) == len(set(given))
-        detections = [name for names in answer["rows"] for name in names if name]
-        assert sum(len(frame["ids"]) for frame in answer["frames"]) == len(detections)
-        films.append(answer["frames"])
-    assert_scored_alike(by_script(SCORES, SCORE, films), films)
 
 
 # ---- the hull measure: hulls.js

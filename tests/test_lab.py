@@ -16,28 +16,6 @@ with pytest.MonkeyPatch.context() as patch:
     patch.syspath_prepend(ROOT / "book")
     lab = importlib.import_module("lab")
 
-SHOWN = '<abbr title="A complex of &quot;near&quot; points.">complex</abbr>'
-NAMES = lab.Names({"rips complex": 'A complex of "near" points.'}, {"a2021": ("Antonova et al.", "2021")})
-NAMES.add("01_b.ipynb", ":::{prf:theorem} Lune theorem\n:label: thm-lune\n\nText.\n:::\n$$ x $$ (gates)")
-
-
-@pytest.mark.parametrize(
-    ("source", "shown"),
-    [
-        ("a {term}`complex <Rips complex>`", f"a {SHOWN}"),
-        ("by {prf:ref}`thm-lune` and {eq}`gates`", "by [theorem *Lune theorem*](01_b.ipynb) and [(gates)](01_b.ipynb)"),
-        ("by {prf:ref}`it <thm-lune>`", "by [it](01_b.ipynb)"),
-        ("so {cite:p}`a2021`; {cite:t}`a2021`", "so (Antonova et al. 2021); Antonova et al. (2021)"),
-        ("$$ x = y $$ (sum)", "$$ x = y \\tag{sum} $$"),
-        (":::{prf:proof}\nTwo\n\nlines.\n:::", "> **Proof.** Two\n>\n> lines."),
-        ("::::{exercise} A sock\n:label: ex-a\n\n**Warm-up.** Why?\n::::", "### Exercise: A sock\n\n**Warm-up.** Why?\n"),
-        (f"Text\n\n{lab.OUTSIDE}", "Text\n\n"),
-        ("`{term}` is `code`, {term}`complex <rips complex>`", f"`{{term}}` is `code`, {SHOWN}"),
-    ],
-)  # fmt: skip
-def test_a_piece_in_plain_markdown(source, shown):
-    assert lab.plain(source, NAMES) == shown
-
 
 def test_copies_of_all_chapters(tmp_path, capsys):
     lab.main(tmp_path)

@@ -64,12 +64,14 @@ def enclosing_radius(matrix: Array) -> float:
 
 
 def redzed() -> Bars:
+    """Compute bars by redzed-tda."""
     import redzed_tda
 
     return lambda data, is_matrix: redzed_tda.rips(distances(data, is_matrix), 1)[1]
 
 
 def rust_tda() -> Bars:
+    """Compute bars by tda, on single precision."""
     import tda
 
     def bars(data: Array, is_matrix: bool) -> Array:
@@ -80,6 +82,7 @@ def rust_tda() -> Bars:
 
 
 def holos() -> Bars:
+    """Compute bars by holos-tda."""
     import holos_tda
 
     def bars(data: Array, is_matrix: bool) -> Array:
@@ -90,6 +93,7 @@ def holos() -> Bars:
 
 
 def giotto() -> Bars:
+    """Compute bars by giotto-ph."""
     from gph import ripser_parallel
 
     def bars(data: Array, is_matrix: bool) -> Array:
@@ -100,6 +104,7 @@ def giotto() -> Bars:
 
 
 def gudhi_collapsed() -> Bars:
+    """Compute bars by GUDHI after collapsing edges."""
     import gudhi
 
     def bars(data: Array, is_matrix: bool) -> Array:
@@ -115,6 +120,7 @@ def gudhi_collapsed() -> Bars:
 
 
 def ripser_dense() -> Bars:
+    """Compute bars by ripser.py on all pairs."""
     import ripser
 
     return lambda data, is_matrix: ripser.ripser(data, maxdim=1, distance_matrix=is_matrix)["dgms"][1]
@@ -200,7 +206,7 @@ def _read_points(columns: Array, ends: Any, longest: float) -> int:
 
 
 def floor(data: Array, is_matrix: bool, longest: float) -> Callable[[], int]:
-    """A pass that computes the length of every pair that may be as short as `longest`, and nothing else; it counts them.
+    """Return a pass that computes the length of every pair that may be as short as `longest`, and nothing else; it counts them.
 
     A sweep along the longest axis leaves out what is too far apart along it; what sorting them costs is not in the pass.
     """

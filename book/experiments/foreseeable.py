@@ -1,6 +1,6 @@
 """Measure how far ahead cloth can be foreseen: the simulator forecasts its own films; book/results/foreseeable.json.
 
-    python book/experiments/foreseeable.py --dataset runs/motion_test --json book/results/foreseeable.json
+    python book/experiments/foreseeable.py --dataset runs/motion_test
 
 A window of a film has its present at a frame at which the grippers hold. The film is simulated again twice, up to that frame with
 the same plan: once the hands make a detour of 2 mm just before (*nudged*), once the cloth has other physics, drawn anew
@@ -116,101 +116,102 @@ def all_there(twins: Mapping[Any, Array | None], pair: list[int]) -> bool:
     return all(twins[(*pair, name)] is not None for name in TWINS)
 
 
-def main() -> None:
-    parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
-    parser.add_argument("--dataset", type=Path, default=ROOT / "runs" / "motion_test")
-    parser.add_argument("--model", type=Path, default=ROOT / "data_small" / "checkpoints" / "motion.safetensors")
-    parser.add_argument("--windows", type=int, default=6, help="of each garment, at most")
-    parser.add_argument("--workers", type=int, default=2)
-    parser.add_argument("--json", type=Path)
-    options = parser.parse_args()
+def simulated(run: Run, job: tuple[int, int, str]) -> Array | None:
+    """Return the places (T, n, 3) of a twin of a film; None where what was drawn is not physical."""
+    number, frame, name = job
+    try:
+        twin = TWINS[name](run, frame, np.random.default_rng((number, frame)))
+        return record_afresh(twin, 600.0)["points"].astype(float)
+    except SimulationError:
+        return None
 
-    windows = WindowDataset(options.dataset, labels="full")
-    dataset = windows.dataset
-    rows = spread_windows(windows, options.windows)
-    films = {int(number): dataset[int(number)] for number in np.unique(windows.index[rows, 0])}
-    runs = {number: run_of(dataset, number) for number in films}
-    windows = windows.select([row for row in rows if films[windows.index[row, 0]].held[windows.index[row, 1]]])
-    jobs = [(number, frame, name) for number, frame in windows.index.tolist() for name in TWINS]
 
-    def simulated(job: tuple[int, int, str]) -> Array | None:
-        number, frame, name = job
-        try:
-            twin = TWINS[name](runs[number], frame, np.random.default_rng((number, frame)))
-            return record_afresh(twin, 600.0)["points"].astype(float)
-        except SimulationError:
-            return None  # of what was drawn: one that is not physical
+def futures_of(film: Any, frame: int, twins: Mapping[str, Array], model: MotionPredictor) -> dict[str, Array]:
+    """Return by name the next 60 places (60, n, 3) of all vertices: known, of each twin, and of a model."""
+    points = film.points.astype(float)
+    ahead = slice(frame + 1, frame + 61)
+    moved = {"known": points[ahead]}
+    for name, twin in twins.items():
+        moved[name] = points[frame] + twin[ahead] - twin[frame]
+        moved[f"{name}, its places"] = twin[ahead]
+    return moved | {"motion": forecast(model, points, film, frame)}
 
-    again = record_afresh(next(iter(runs.values())), 600.0)["points"]
-    assert np.abs(again - next(iter(films.values())).points).max() < 1e-3, "here the same simulation gives another film"
-    with ThreadPoolExecutor(options.workers) as pool:
-        twins = dict(zip(jobs, tqdm(pool.map(simulated, jobs), total=len(jobs), unit="twin"), strict=True))
-    asked = len(windows)
-    windows = windows.select([i for i, pair in enumerate(windows.index.tolist()) if all_there(twins, pair)])
 
-    model: Any = Predictor.load(options.model)
-    carry: Any = build("carry", Shape(), Normalisation())
-    futures: dict[str, list[Array]] = {name: [] for name in TOLD}
-    gaps: dict[str, list[list[float]]] = {name: [] for name in (*TOLD, "carry")}
-    for number, frame in windows.index.tolist():
-        film = films[number]
-        points = films[number].points.astype(float)
-        ahead = slice(frame + 1, frame + 61)
-        now = points[frame]
-        moved = {"known": points[ahead]}
-        for name in TWINS:
-            twin: Any = twins[number, frame, name]
-            moved[name] = now + twin[ahead] - twin[frame]
-            moved[f"{name}, its places"] = twin[ahead]
-        moved["motion"] = forecast(model, points, film, frame)
-        later = np.array(STEPS) - 1
-        there = {name: places[later] for name, places in moved.items()} | {"carry": carry_of(points, film, frame)}
-        for name, places in there.items():
-            off = np.linalg.norm(places - points[ahead][later], axis=2).mean(axis=1)
-            gaps[name].append((100 * off).round(2).tolist())
-        for name, places in moved.items():
-            futures[name].append(places)
-
+def hits_of(windows: WindowDataset, futures: Mapping[str, list[Array]], model: MotionPredictor) -> dict[str, Array]:
+    """Return by name whether each window's forecast is in the hull at the `STEPS`: 1, 0, or nan without a true loop."""
     batch = default_collate([windows[i] for i in range(len(windows))])
     truth = true_curves(windows, range(len(windows)), STEPS)
     target = StateTensors.from_labels(batch)
     past = StateTensors.from_past(batch)[:, -1:]
     batch["turn"] = torch.eye(3)
-    forecasters = {}
-    for name, asked_for in futures.items():
+
+    # Given motions are read as a model's own motions are. Carry moves the loops alone.
+    forecasters = {"carry": of_windows(build("carry", Shape(), Normalisation()))}
+    for name, places in futures.items():
         told = Told(model.model)
-        told.futures = iter(asked_for)
+        told.futures = iter(places)
         forecasters[name] = of_stream(told, windows, STEPS)
-    forecasters["carry"] = of_windows(carry)
     hits = {}
     for name, forecaster in forecasters.items():
         with torch.inference_mode():
             columns = measure_forecasts(forecaster(batch), target, past, truth, STEPS, (), np.random.default_rng(0))
         away = columns["hull_distance"]
         hits[name] = np.where(np.isnan(away), np.nan, away <= TOLERANCE)
+    return hits
 
+
+def main() -> None:
+    """Simulate the twins of some windows, measure all forecasts, and write them."""
+    parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
+    parser.add_argument("--dataset", type=Path, default=ROOT / "runs" / "motion_test")
+    parser.add_argument("--model", type=Path, default=ROOT / "data_small" / "checkpoints" / "motion.safetensors")
+    parser.add_argument("--windows", type=int, default=6, help="of each garment, at most")
+    parser.add_argument("--workers", type=int, default=2)
+    parser.add_argument("--json", type=Path, default=ROOT / "book" / "results" / "foreseeable.json")
+    options = parser.parse_args()
+
+    # Windows at whose present the grippers hold.
+    windows = WindowDataset(options.dataset, labels="full")
+    dataset = windows.dataset
+    rows = spread_windows(windows, options.windows)
+    films = {int(number): dataset[int(number)] for number in np.unique(windows.index[rows, 0])}
+    runs = {number: run_of(dataset, number) for number in films}
+    windows = windows.select([row for row in rows if films[windows.index[row, 0]].held[windows.index[row, 1]]])
+
+    # Simulate all twins, and leave out the windows of which one was refused.
+    again = record_afresh(next(iter(runs.values())), 600.0)["points"]
+    assert np.abs(again - next(iter(films.values())).points).max() < 1e-3, "here the same simulation gives another film"
+    jobs = [(number, frame, name) for number, frame in windows.index.tolist() for name in TWINS]
+    with ThreadPoolExecutor(options.workers) as pool:
+        found = pool.map(lambda job: simulated(runs[job[0]], job), jobs)
+        twins = dict(zip(jobs, tqdm(found, total=len(jobs), unit="twin"), strict=True))
+    windows = windows.select([i for i, pair in enumerate(windows.index.tolist()) if all_there(twins, pair)])
+
+    # Forecasts of all vertices, and how far they are from where the vertices came.
+    model: Any = Predictor.load(options.model)
+    futures: dict[str, list[Array]] = {name: [] for name in TOLD}
+    gaps: dict[str, list[list[float]]] = {name: [] for name in (*TOLD, "carry")}
+    later = np.array(STEPS) - 1
+    for number, frame in windows.index.tolist():
+        film = films[number]
+        moved = futures_of(film, frame, {name: twins[number, frame, name] for name in TWINS}, model)
+        points = film.points.astype(float)
+        there = {name: places[later] for name, places in moved.items()} | {"carry": carry_of(points, film, frame)}
+        for name, places in there.items():
+            off = np.linalg.norm(places - points[frame + 1 + later], axis=2).mean(axis=1)
+            gaps[name].append((100 * off).round(2).tolist())
+        for name, places in moved.items():
+            futures[name].append(places)
+
+    hits = hits_of(windows, futures, model)
     garments = kinds_of(windows, "garment").tolist()
-    print(f"{len(windows)} windows of {len(windows.episodes)} films, {asked - len(windows)} refused")
-    tables: dict[str, dict[str, Any]] = {"in the hulls, per cent": hits, "mean error, cm": gaps}
-    for what, table in tables.items():
-        print(f"{what:24}" + "".join(f"{'t+' + str(step):>8}" for step in STEPS) + f"{'mean':>8}")
-        for name, cells in table.items():
-            row = (100 if table is hits else 1) * np.nanmean(np.array(cells, float), axis=0)
-            print(f"  {name:22}" + "".join(f"{value:8.1f}" for value in [*row, row.mean()]))
-    if options.json:
-        said = [
-            {
-                "episode": number,
-                "frame": frame,
-                "garment": garments[i],
-                "hit": {name: [None if np.isnan(x) else bool(x) for x in cells[i]] for name, cells in hits.items()},
-                "error_cm": {name: cells[i] for name, cells in gaps.items()},
-            }
-            for i, (number, frame) in enumerate(windows.index.tolist())
-        ]
-        document = {"steps": STEPS, "nudge_m": NUDGE, "dataset": dataset.checksum(), "windows": said}
-        text = json.dumps(document, indent=1)
-        options.json.write_text(text + "\n")
+    said = []
+    for i, (number, frame) in enumerate(windows.index.tolist()):
+        hit = {name: [None if np.isnan(x) else bool(x) for x in cells[i]] for name, cells in hits.items()}
+        error = {name: cells[i] for name, cells in gaps.items()}
+        said.append({"episode": number, "frame": frame, "garment": garments[i], "hit": hit, "error_cm": error})
+    document = {"steps": STEPS, "nudge_m": NUDGE, "dataset": dataset.checksum(), "windows": said}
+    options.json.write_text(json.dumps(document, indent=1) + "\n")
 
 
 if __name__ == "__main__":

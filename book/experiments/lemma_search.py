@@ -19,7 +19,7 @@ import argparse
 import json
 import sys
 from collections.abc import Callable
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 from typing import Any
 
 import numpy as np
@@ -402,24 +402,6 @@ class Search:
                         )  # JSON has no infinity
                         rows.append(row | vars(count) | {"largest_ratio": largest})
         return rows
-
-
-def shrink(instance: Instance, statement: str, version: str) -> Instance:
-    """Remove vertices for as long as the violation stays."""
-    i = 0
-    while i < len(instance.before):
-        keep = np.delete(np.arange(len(instance.before)), i)
-        number = np.cumsum(np.isin(np.arange(len(instance.before)), keep)) - 1
-        seen, seen_after = (number[ids[ids != i]] for ids in (instance.seen, instance.seen_after))
-        fewer = replace(
-            instance, before=instance.before[keep], after=instance.after[keep], seen=seen, seen_after=seen_after
-        )
-        if len(seen) and len(seen_after) and CHECKS[statement](fewer).versions[version].violated:
-            instance = fewer
-            i = 0
-        else:
-            i += 1
-    return instance
 
 
 def main() -> int:

@@ -58,7 +58,6 @@ from windows import RingScenes, RingWindows
 EPISODE = ROOT / "data_small" / "apron_hook_0.npz"
 NETWORKS = ("mlp", "pointnet", "motion")
 MODELS = ("hold", "carry", "ridge", *NETWORKS)
-GOALS = {"mlp": 2.0, "motion": 5.0}
 Times = dict[str, float]
 
 
@@ -243,37 +242,14 @@ def main() -> int:
         name: forecasts(predictor, options.plans, options.repeat) for name, predictor in predictors.items()
     }
     answer["topology"] = topology(options.repeat)
-    rows = {f"{name}, {what}": times for name, parts in answer["forecast"].items() for what, times in parts.items()}
-    for name, times in (rows | {f"{name}, one frame": times for name, times in answer["topology"].items()}).items():
-        model, _, what = name.partition(", ")
-        goal = None
-        if what == "one plan":
-            goal = GOALS.get(model)
-        elif what == "exact at four":
-            goal = 12.0
-        elif what.endswith("plans") and model in GOALS:
-            goal = 100.0
-        verdict = ""
-        if goal is not None:
-            verdict = f"   goal {goal:g} ms: {'met' if times['ms'] <= goal else 'not met'}"
-        print(f"{name:28}{times['ms']:9.2f} ms {times['clock_ms']:9.2f} ms by the clock{verdict}", flush=True)
     if options.steps:
         peak = peak_gflops()
         answer["peak_gflops"] = round(peak, 1)
-        print(
-            f"training on {options.dataset or 'windows in memory'}, batches of {options.batch}; "
-            f"a large product: {peak:.0f} GFLOP/s"
-        )
-        answer["training"] = {}
-        for name in options.models:
-            if not fresh(name).learns:
-                continue
-            row = answer["training"][name] = training(name, options.dataset, options.batch, options.steps, peak)
-            shares = ", ".join(f"{part} {100 * share:.0f} %" for part, share in row["shares"].items())
-            print(
-                f"{name:10}{row['windows_per_second']:8.0f} windows/s, {row['gflops']:5.1f} GFLOP/s, "
-                f"bound by {row['bound_by']} ({shares})"
-            )
+        learning = [name for name in options.models if fresh(name).learns]
+        answer["training"] = {
+            name: training(name, options.dataset, options.batch, options.steps, peak) for name in learning
+        }
+    print(json.dumps(answer, indent=1))
     if options.json:
         options.json.write_text(json.dumps(answer, indent=1) + "\n")
     return 0

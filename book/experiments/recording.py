@@ -108,11 +108,6 @@ def picture(folder: Path) -> Figure:
         above.set_title(name, fontsize="medium")
         above.set_aspect("equal")
         view.plot_tracks(states, below)
-        identities = {loop.id for state in states for loop in state.loops}
-        seen = sum(bool(state.loops) for state in states)
-        print(
-            f"{name}: {len(identities)} identities, a loop in {seen} of {len(states)} frames, removed {clean.removed}"
-        )
     return figure
 
 

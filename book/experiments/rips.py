@@ -91,14 +91,14 @@ class Race:
 
 
 def single(race: Race) -> Iterator[Entry]:
-    """Single clouds of four shapes against all peers."""
+    """Time single clouds of four shapes against all peers."""
     for shape in ("apron", "torus", "sphere", "cube"):
         for n in (500, 1000, 2000):
             yield {"what": shape, **race.against(clouds.cloud(shape, n), only=_rips_peers.NAMES)}
 
 
 def first(race: Race) -> Iterator[Entry]:
-    """First answers by the clock: a fresh process that has nothing compiled, import included; then the same once more."""
+    """Time first answers by the clock, import included: in a fresh process with nothing compiled, then once more."""
     snippet = (ROOT / "README.md").read_text().split("```python\n")[1].split("```")[0]
     cloud = "import sys, numpy as np, topokit as tk\ntk.rips_persistence(np.load(sys.argv[1]))"
     works = [
@@ -133,7 +133,7 @@ def processor_time() -> float:
 
 
 def batches(race: Race) -> Iterator[Entry]:
-    """Many clouds in one call, and one by one."""
+    """Time many clouds in one call, and one by one."""
     for what, batch in (
         ("clouds of all shapes", clouds.small_clouds(1000)),
         ("one scene under as many plans", clouds.plans(1000)),
@@ -162,7 +162,7 @@ def together(race: Race, batch: Sequence[np.ndarray]) -> Entry:
 
 
 def spaces(race: Race) -> Iterator[Entry]:
-    """Points in many dimensions, rotations, and the projective plane as a matrix."""
+    """Time points in many dimensions, rotations, and the projective plane as a matrix."""
     yield {"what": "a torus in 4 dimensions", **race.against(clouds.in_dimension(4))}
     yield {"what": "a torus in 24 dimensions", **race.against(clouds.in_dimension(24))}
     yield {"what": "random rotations, in 9 dimensions", **race.against(clouds.rotations())}
@@ -170,7 +170,7 @@ def spaces(race: Race) -> Iterator[Entry]:
 
 
 def update(race: Race) -> Iterator[Entry]:
-    """A frame of the tracker, end to end, and what of it is persistence."""
+    """Time a frame of the tracker, end to end, and what of it is persistence."""
     frames = clouds.film(1000, 90)
     tracked = race.ms(lambda: tk.track(frames)) / len(frames)
     alone = race.ms(lambda: [tk.rips_persistence(points) for points in frames]) / len(frames)
