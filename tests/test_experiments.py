@@ -219,7 +219,6 @@ def test_tracks_of_a_film_are_scored(tmp_path, monkeypatch):
 
 
 RUNS = {
-    "dataset": ["--only", "store", "opening", "--records", "30"],
     "report": ["book/results/motion.json", "--out", "{folder}"],
     "lemmas_on_cloth": ["data_small/apron_hook_0.npz", "--stride", "60", "--out", "{folder}/r.json"],
     "lemma_search": ["--random", "2", "--optimised", "0"],

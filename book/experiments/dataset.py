@@ -1,12 +1,10 @@
-"""Measure what a dataset costs: episodes an hour, bytes, opening it, windows a second: book/results/dataset.json.
+"""Measure what a dataset costs: episodes an hour, windows a second: book/results/dataset.json.
 
     python book/experiments/dataset.py --dataset runs/dataset --out book/results/dataset.json
 
 Needs a labelled dataset. Takes minutes on two cores. `--only PART` leaves the other parts out:
 
 scaling   the same episodes on one worker and on two, and what follows for 23,000 episodes on more cores by the law below
-store     bytes of an episode and of its labels, and seconds to read one
-opening   seconds to open a dataset of 23,000 files
 windows   windows a second of a labelled dataset: alone, and through a DataLoader
 
 The law: with s seconds an episode on a core, W workers make 3600 W / (s (1 + c (W - 1))) episodes an hour, for the part c that
@@ -33,7 +31,7 @@ from tables import write_results
 from topokit.data import Dataset, DatasetConfig, WindowDataset, generate_dataset
 
 WANTED = 23_000
-PARTS = ("scaling", "store", "opening", "windows")
+PARTS = ("scaling", "windows")
 
 
 def scaling(folder: Path, config: DatasetConfig, episodes: int, counts: list[int]) -> list[dict[str, Any]]:
@@ -98,41 +96,6 @@ def law(rows: list[dict[str, Any]], jobs_a_second: float) -> dict[str, Any]:
     }
 
 
-def store(folder: Path) -> dict[str, Any]:
-    """Return bytes of an episode and of its labels, and seconds to read one."""
-    dataset = Dataset(folder)
-    files = [path for path in folder.rglob("*.npz")]
-    labels = [path for path in files if "labels" in path.parts]
-    whole = sum(path.stat().st_size for path in files if path not in labels) / len(dataset)
-    some = dataset.episodes[:: max(1, len(dataset) // 50)]
-    start = time.perf_counter()
-    frames = [len(dataset[int(number)]) for number in some]
-    return {
-        "episodes": len(dataset),
-        "bytes_an_episode": whole,
-        "bytes_of_its_labels": sum(path.stat().st_size for path in labels) / len(dataset),
-        "gigabytes_of_23000": whole * WANTED / 1e9,
-        "read_s": (time.perf_counter() - start) / len(some),
-        "mean_frames": statistics.mean(frames),
-    }
-
-
-def opening(folder: Path, source: Path, records: int = WANTED) -> dict[str, Any]:
-    """Return seconds to open a dataset of many episodes and to number them; its files are links to one of another."""
-    dataset = Dataset(source)
-    about = json.loads((source / "dataset.json").read_text())
-    (folder / "dataset.json").write_text(json.dumps({**about, "episodes": records, "numbers": None}))
-    one = next(path for path in sorted(source.glob("*.npz")))
-    for number in range(records):
-        os.link(one, folder / f"{number:0{len(one.stem)}d}.npz")
-    seconds = []
-    for _ in range(5):
-        start = time.perf_counter()
-        assert len(Dataset(folder).episodes) == records, f"{len(dataset)} files are named otherwise"
-        seconds.append(time.perf_counter() - start)
-    return {"records": records, "seconds": seconds}
-
-
 def windows(folder: Path, labels: str, n_points: int, batch: int, workers: list[int]) -> list[dict[str, Any]]:
     """Return windows a second."""
     torch.set_num_threads(1)
@@ -170,7 +133,6 @@ def main() -> None:
     parser.add_argument("--config", type=Path, help="for scaling: a DatasetConfig (default: all tasks)")
     parser.add_argument("--episodes", type=int, default=40, help="for scaling (default 40)")
     parser.add_argument("--workers", type=int, nargs="+", default=[1, 2])
-    parser.add_argument("--records", type=int, default=WANTED, help="for opening")
     parser.add_argument("--points", type=int, default=128)
     parser.add_argument("--out", type=Path, help="where to write the answers (.json)")
     options = parser.parse_args()
@@ -181,12 +143,6 @@ def main() -> None:
             config = DatasetConfig.from_json(json.loads(options.config.read_text()) if options.config else {})
             answers["scaling"] = scaling(folder, config, options.episodes, options.workers)
             answers["law"] = law(answers["scaling"], dispatch())
-        if "store" in options.only:
-            answers["store"] = store(options.dataset)
-        if "opening" in options.only:
-            many = folder / "many"
-            many.mkdir()
-            answers["opening"] = opening(many, options.dataset, options.records)
         if "windows" in options.only:
             answers["windows"] = windows(options.dataset, options.labels, options.points, 64, [0, 1, 2])
     print(json.dumps(answers, indent=1))

@@ -7,8 +7,7 @@
 Question: a reader who has the bars of each frame and a place for each could link them over time with a well-known library. Does
 seqPH keep identities better? The libraries get bars of topokit: those that live alpha or longer, and those that the evidence of
 their own frame supports. Two libraries also get the loops that seqPH reports, without their identities, so that nothing but the
-identities differs. And in two conditions two get what their user would have without topokit: the bars of Ripser above a
-threshold, each at the mean of its cocycle's vertices.
+identities differs.
 The options are those with the largest mean of HOTA and IDF1 on the films of `--tuning` (seeds 100 to 102), in one condition of
 each kind. Then all films of `--episodes` are scored once with these options. seqPH was tuned on the same tuning films.
 
@@ -65,9 +64,6 @@ OURS: dict[str, Callable[[], tk.SeqPH]] = {
     PAPER: tk.SeqPH.paper,
 }
 TUNED_IN = ("250 points", "noise of 10 mm", "a hand", "one camera")
-RULES = ("alpha", "evidence", "seqPH", "Ripser")
-"""Which bars linkers get: those that live alpha or longer, those that their frame's evidence supports, the loops that seqPH
-reports, or the bars of Ripser."""
 REPORTED_BY = {"alpha": PAPER, "seqPH": DEFAULT}
 """The trackers whose loops are the bars by a rule. The paper's calls each bar that lives alpha or longer a loop."""
 WITH = {
@@ -82,11 +78,8 @@ WITH = {
         "lifted Wasserstein",
     ),
     "seqPH": ("trackpy", "LapTrack"),
-    "Ripser": ("trackpy", "Wasserstein"),
 }
 """Which linkers get these bars. The slow ones get the better bars alone."""
-LEAST = (0.01, 0.02, 0.03)  # metres that a bar of Ripser lives at least; one of them is chosen on the tuning films
-RIPSER_IN = ("250 points", "128 points")  # Ripser takes 0.2 s for a frame of 550 points
 TIMED = "500 points"  # the condition in which the time of a frame is measured
 
 
@@ -337,27 +330,6 @@ def bars_of(state: tk.TopologicalState, cloud: NDArray[np.float64]) -> Bars:
     )
 
 
-def bars_of_ripser(clouds: Clouds) -> list[Bars]:
-    """Return the bars of Ripser that live a centimetre or longer, each at the mean of its cocycle's vertices."""
-    from ripser import ripser
-
-    frames = []
-    for cloud in clouds:
-        answer = ripser(cloud, maxdim=1, do_cocycles=True)
-        diagram = answer["dgms"][1].astype(float) / 2  # Ripser's values are diameters
-        long = np.flatnonzero(diagram[:, 1] - diagram[:, 0] >= min(LEAST)).tolist()
-        cocycles = [answer["cocycles"][1][bar][:, :2] for bar in long]
-        centre = np.array([cloud[np.unique(edges)].mean(axis=0) for edges in cocycles]).reshape(-1, 3)
-        # Ripser does not return the edge that creates a bar. The linkers that get these bars do not read it.
-        frames.append(Bars(centre, np.full_like(centre, np.nan), diagram[long]))
-    return frames
-
-
-def long_enough(frames: list[Bars], least: float) -> list[Bars]:
-    """Return the bars that live `least` metres or longer."""
-    return [Bars(*(part[np.diff(bars.diagram, axis=1)[:, 0] >= least] for part in bars)) for bars in frames]
-
-
 # -------------------------------------------------------------------------------------------------------------- experiment
 
 Asked = tuple[str, str, dict[str, Any]]  # linker, rule, options
@@ -382,13 +354,6 @@ def key_of(linker: str, rule: str = "", options: Mapping[str, Any] | None = None
     return json.dumps([linker, rule, dict(options or {})], sort_keys=True)
 
 
-def in_condition(rule: str, condition: str, part: str) -> bool:
-    """Return whether bars by a rule are linked in a condition."""
-    if rule == "Ripser":
-        return condition in RIPSER_IN
-    return part == "episodes" or condition in TUNED_IN
-
-
 def followed(
     tracker: tk.SeqPH, clouds: Clouds, diagrams: list[tk.Diagram], given: list[bool]
 ) -> list[tk.TopologicalState]:
@@ -411,10 +376,10 @@ def row_of(path: Path, part: str, asked: list[Asked], known: dict[str, Any]) -> 
     asked = [one for one in asked if key_of(*one) not in scores]
     unknown = [name for name in OURS if key_of(name) not in scores]
     for condition, clouds, stride in conditions(episode):
-        rules = {rule for _, rule, _ in asked if in_condition(rule, condition, part)}
-        is_asked = part == "episodes" or condition in {*TUNED_IN, *RIPSER_IN}
-        if not is_asked or not (rules or unknown):
+        is_asked = part == "episodes" or condition in TUNED_IN
+        if not is_asked or not (asked or unknown):
             continue
+        rules = {rule for _, rule, _ in asked}
         diagrams = tk.rips_persistence_many(clouds, 1)
         clean = [len(inliers(cloud)) == len(cloud) for cloud in clouds]
         true = truth[::stride]
@@ -437,17 +402,13 @@ def row_of(path: Path, part: str, asked: list[Asked], known: dict[str, Any]) -> 
         bars: dict[str, list[Bars]] = {}
         if "evidence" in rules:
             states["evidence"] = followed(tk.SeqPH(memory=0, match=lambda _: []), clouds, diagrams, clean)
-        if "Ripser" in rules:
-            bars["Ripser"] = bars_of_ripser(clouds)
-        for rule in rules - {"Ripser"}:
+        for rule in rules:
             reported = states[REPORTED_BY.get(rule, rule)]
             bars[rule] = [bars_of(state, cloud) for state, cloud in zip(reported, clouds, strict=True)]
         for linker, rule, options in asked:
-            if rule in rules:
-                start = time.process_time()
-                link_options = dict(options)
-                frames = long_enough(bars[rule], link_options.pop("least", 0.0))
-                keep(key_of(linker, rule, options), start, named(frames, LINKERS[linker][0](frames, **link_options)))
+            start = time.process_time()
+            ids = LINKERS[linker][0](bars[rule], **options)
+            keep(key_of(linker, rule, options), start, named(bars[rule], ids))
     return {"episode": path.stem, "scores": scores, "ms": times}
 
 
@@ -475,8 +436,7 @@ def scores_in(rows: list[dict[str, Any]], key: str, condition: str) -> list[Trac
 def merit(rows: list[dict[str, Any]], key: str) -> float:
     """Return the mean of HOTA and IDF1 over the conditions to tune in, each over all films together."""
     values = []
-    rule = json.loads(key)[1]
-    for condition in RIPSER_IN if rule == "Ripser" else TUNED_IN:
+    for condition in TUNED_IN:
         together = total(scores_in(rows, key, condition))
         values.append((together.hota + together.idf1) / 2)
     return float(np.mean(values))
@@ -487,10 +447,7 @@ def everything() -> list[Asked]:
     asked: list[Asked] = []
     for rule, linkers in WITH.items():
         for linker in linkers:
-            options = LINKERS[linker][1]
-            if rule == "Ripser":
-                options = [{**one, "least": least} for least in LEAST for one in options]
-            asked += [(linker, rule, one) for one in options]
+            asked += [(linker, rule, one) for one in LINKERS[linker][1]]
     return asked
 
 

@@ -1,17 +1,12 @@
-"""Time predictors against running seqPH, and training: book/results/predictors.json. One core, one run.
+"""Time predictors against running seqPH: book/results/predictors.json. One core, one run.
 
-    python book/experiments/predictors.py --help
+    python book/experiments/predictors.py --json book/results/predictors.json
 
 Forecasts: 60 steps from the recorded apron, by freshly drawn weights (which cost what trained ones do) or by checkpoints.
-*observe* takes in the next frame; *one plan* is everything after that until the 60 states are there; *plans* the same for many
-plans at once; *exact* one plan with the loops sought anew in the moved cloud, 1, 15, 30 and 60 frames ahead. The persistence of
-that frame, by seqPH (all that its update does), ripser.py and GUDHI, stands below. Times are of the processor (one core, one
-thread), medians of `--repeat` after one that is not counted; the clock's are beside them.
-
-Training: steps on windows in memory, or with --dataset on real ones, read as `topokit train` reads them. The operations of the
-linear layers, counted, against what one large matrix product reaches on the same core in the same run, say what binds: data,
-when most of the time goes into reading windows; compute, when the products run near that speed; else memory, the passes over
-arrays between them.
+*observe* takes in the next frame; *one plan* is everything after that until the 60 states are there; *plans* is the same for
+many plans at once; *exact* is one plan with the loops sought anew in the moved cloud, 1, 15, 30 and 60 frames ahead. Below are the
+times for the loops of that frame by seqPH (all that its update does), ripser.py and GUDHI. Times are of the processor (one core,
+one thread), medians of `--repeat` after one that is not counted; the clock's are beside them.
 """
 
 from __future__ import annotations
@@ -33,8 +28,6 @@ for name in ("OMP_NUM_THREADS", "OPENBLAS_NUM_THREADS", "NUMBA_NUM_THREADS"):
 
 import numpy as np
 import torch
-from torch.utils.data import DataLoader
-from torch.utils.flop_counter import FlopCounterMode
 
 import topokit as tk
 from topokit.data import Dataset, WindowDataset
@@ -52,9 +45,6 @@ from topokit.models import (
 )
 
 ROOT = Path(__file__).parents[2]
-sys.path.append(str(ROOT / "tests"))
-from windows import RingScenes, RingWindows
-
 EPISODE = ROOT / "data_small" / "apron_hook_0.npz"
 NETWORKS = ("mlp", "pointnet", "motion")
 MODELS = ("hold", "carry", "ridge", *NETWORKS)
@@ -149,77 +139,6 @@ def topology(repeat: int) -> dict[str, Times]:
     return {name: timed(function, max(5, repeat // 4)) for name, function in found.items()}
 
 
-def batches(name: str, dataset: Path | None, batch: int, steps: int) -> Iterator[dict[str, torch.Tensor]]:
-    """Yield batches of windows as training of that model reads them."""
-    points = Shape().points
-    if name == "motion":
-        data: Any = RingScenes(2 * batch) if dataset is None else Scenes(Dataset(dataset), Dataset(dataset).episodes)
-    elif dataset is None:
-        data = RingWindows(2 * batch)
-        for item in data.items:
-            item["clouds"] = item["clouds"].repeat(1, -(-points // item["clouds"].shape[1]), 1)[:, :points]
-    else:
-        data = WindowDataset(dataset, n_points=points).load()
-    taken = 0
-    while taken < steps:
-        for window in DataLoader(data, batch, shuffle=True, drop_last=True):
-            if taken == steps:
-                return
-            taken += 1
-            yield window
-
-
-def training(name: str, dataset: Path | None, batch: int, steps: int, peak: float) -> dict[str, Any]:
-    """Return windows a second, the parts of a step, and what limits the speed."""
-    model = fresh(name)
-    weights = configured(name).loss
-
-    def loss_of(window: dict[str, torch.Tensor]) -> torch.Tensor:
-        if isinstance(model, Motion):
-            return model.loss(window, torch.Generator().manual_seed(0))[0]
-        return forecast_loss(model(window), window, weights)[0]
-
-    optimizer = torch.optim.AdamW(model.parameters())
-    reader = batches(name, dataset, batch, steps + 1)
-    first = next(reader)
-    with FlopCounterMode(display=False) as counter:
-        loss_of(first).backward()
-    spent = dict.fromkeys(("data", "forward and loss", "backward", "optimiser"), 0.0)
-    start = before = time.perf_counter()
-    for window in reader:
-        marks = [time.perf_counter()]
-        loss = loss_of(window)
-        marks.append(time.perf_counter())
-        optimizer.zero_grad()
-        loss.backward()
-        marks.append(time.perf_counter())
-        optimizer.step()
-        marks.append(time.perf_counter())
-        for part, begin, end in zip(spent, [before, *marks], marks, strict=False):
-            spent[part] += end - begin
-        before = marks[-1]
-    seconds = before - start
-    speed = counter.get_total_flops() * steps / (seconds - spent["data"]) / 1e9
-    binds = "memory"
-    if spent["data"] > seconds / 2:
-        binds = "data"
-    elif speed > peak / 2:
-        binds = "compute"
-    return {
-        "windows_per_second": round(batch * steps / seconds, 1),
-        "shares": {part: round(value / seconds, 3) for part, value in spent.items()},
-        "gflops": round(speed, 1),
-        "bound_by": binds,
-        "parameters": sum(part.numel() for part in model.parameters()),
-    }
-
-
-def peak_gflops() -> float:
-    """Return what a large matrix product reaches."""
-    a = torch.randn(1024, 1024)
-    return 2 * 1024**3 / timed(lambda: a @ a, 10)["clock_ms"] / 1e6
-
-
 def main() -> int:
     """Measure and print."""
     parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
@@ -227,9 +146,6 @@ def main() -> int:
     parser.add_argument("--checkpoints", type=Path, nargs="*", default=[], metavar="FILE", help="these as well")
     parser.add_argument("--plans", type=int, default=1000)
     parser.add_argument("--repeat", type=int, default=40)
-    parser.add_argument("--dataset", type=Path, metavar="DIR", help="train on its windows (labels `full`)")
-    parser.add_argument("--batch", type=int, default=64)
-    parser.add_argument("--steps", type=int, default=10, help="of training; 0 leaves it out")
     parser.add_argument("--json", type=Path, help="also write the numbers there")
     options = parser.parse_args()
     if hasattr(os, "sched_setaffinity"):
@@ -242,13 +158,6 @@ def main() -> int:
         name: forecasts(predictor, options.plans, options.repeat) for name, predictor in predictors.items()
     }
     answer["topology"] = topology(options.repeat)
-    if options.steps:
-        peak = peak_gflops()
-        answer["peak_gflops"] = round(peak, 1)
-        learning = [name for name in options.models if fresh(name).learns]
-        answer["training"] = {
-            name: training(name, options.dataset, options.batch, options.steps, peak) for name in learning
-        }
     print(json.dumps(answer, indent=1))
     if options.json:
         options.json.write_text(json.dumps(answer, indent=1) + "\n")
