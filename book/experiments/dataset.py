@@ -16,8 +16,6 @@ from __future__ import annotations
 import argparse
 import json
 import multiprocessing
-import os
-import statistics
 import tempfile
 import time
 from concurrent.futures import ProcessPoolExecutor
@@ -28,7 +26,7 @@ import numpy as np
 import torch
 from tables import write_results
 
-from topokit.data import Dataset, DatasetConfig, WindowDataset, generate_dataset
+from topokit.data import DatasetConfig, WindowDataset, generate_dataset
 
 WANTED = 23_000
 PARTS = ("scaling", "windows")

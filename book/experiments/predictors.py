@@ -18,7 +18,7 @@ import platform
 import statistics
 import sys
 import time
-from collections.abc import Callable, Iterator
+from collections.abc import Callable
 from importlib.util import find_spec
 from pathlib import Path
 from typing import Any
@@ -30,18 +30,14 @@ import numpy as np
 import torch
 
 import topokit as tk
-from topokit.data import Dataset, WindowDataset
 from topokit.io import load_episode
 from topokit.models import (
     Motion,
     MotionPredictor,
     Normalisation,
     Predictor,
-    Scenes,
-    Shape,
     TrainConfig,
     build,
-    forecast_loss,
 )
 
 ROOT = Path(__file__).parents[2]
