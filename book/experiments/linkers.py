@@ -11,12 +11,10 @@ identities differs.
 The options are those with the largest mean of HOTA and IDF1 on the films of `--tuning` (seeds 100 to 102), in one condition of
 each kind. Then all films of `--episodes` are scored once with these options. seqPH was tuned on the same tuning films.
 
-Films that are missing are simulated first (63 in each folder, about ten seconds each); with `--made` the films that are there are
-enough. Rows are appended to linkers.jsonl in the folder of the films; an interrupted run goes on where it was.
+Films that are missing are simulated first; with `--made` the films that are there are enough. An interrupted run goes on.
 
 Source: Allan et al., *trackpy*; Fukai and Kawaguchi 2023, *LapTrack*; Thomas et al. 2017, *Stone Soup*; Saul, Tralie, *persim*;
-Tralie, Saul and Bar-On 2018, *Ripser.py*; Soler et al. 2018, *Lifted Wasserstein matcher for fast and robust topology tracking*.
-Taught in chapter 8.
+Soler et al. 2018, *Lifted Wasserstein matcher for fast and robust topology tracking*. Taught in chapter 8.
 """
 
 from __future__ import annotations
@@ -164,16 +162,8 @@ def stonesoup_link(
 ) -> Ids:
     """Link by Stone Soup: Kalman filters of nearly constant velocity; global nearest neighbours or JPDA.
 
-    Parameters
-    ----------
-    motion, noise : float
-        Diffusion of the velocity, and standard deviation of a place in metres.
-    missed : float
-        Distance, in standard deviations, from which a bar is rather another loop; with JPDA the probability of the gate.
-    memory : int
-        Frames without a bar after which a track ends.
-    probabilistic : bool
-        Use joint probabilistic data association.
+    `motion` is the diffusion of the velocity, `noise` the standard deviation of a place in metres. From `missed` standard
+    deviations on a bar is rather another loop (with JPDA: the probability of the gate). A track ends after `memory` frames.
     """
     from stonesoup.dataassociator.neighbour import GNNWith2DAssignment
     from stonesoup.dataassociator.probability import JPDAwithEHM2

@@ -5,11 +5,8 @@
     python book/experiments/paper.py --protocol book/experiments/paper_curve.json --work runs/paper_curve
     python book/experiments/paper.py --protocol book/experiments/paper_usual.json --work runs/paper_usual
 
-Questions, claims, measures, films, networks and their trainings are in paper.json beside this file. Those of the second setting,
-where targets stand anywhere, are in paper_anywhere.json, and those of the learning curve in the paper's setting in
-paper_curve.json. Those of the networks of data_small, which learn from the usual mesh, are in paper_usual.json. Nothing is chosen
-on the films to test on. There are six stages. Each leaves alone what is in the folder already, so the same command goes on after
-it was stopped:
+Questions, claims, measures, films, networks and their trainings are in the protocol. Nothing is chosen on the films to test on.
+Each of the six stages leaves alone what is in the folder already, so the same command goes on after it was stopped:
 
 films      garments, to train and to validate with; on coarse meshes where the protocol has no other
 labels     their loops, tracked on all vertices
@@ -18,9 +15,8 @@ tests      films of other seeds and their loops, on the usual mesh and on the co
 forecasts  of all windows by all forecasters, on validation films and on test films
 table      shares with intervals, the logs of the trainings, and what became of the claims
 
-`--stages` names those to run, `--sizes` and `--networks` take a part of the trainings and forecasts. Test films are forecast only
-when every network has been trained with every seed; the learning curve is measured on the validation films. On one core: 1.5
-hours of films, half an hour of labels; an MLP sees 1,000 windows a second, the small PointNet 450, and the published one 150.
+Test films are forecast only when every network has been trained with every seed; the learning curve is measured on the
+validation films. On one core: 1.5 hours of films, half an hour of labels; an MLP sees 1,000 windows a second, PointNet 450.
 
 Source: Antonova et al. 2021, section 6 and figure 4. Taught in chapter 15.
 """

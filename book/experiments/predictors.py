@@ -4,9 +4,8 @@
 
 Forecasts: 60 steps from the recorded apron, by freshly drawn weights (which cost what trained ones do) or by checkpoints.
 *observe* takes in the next frame; *one plan* is everything after that until the 60 states are there; *plans* is the same for
-many plans at once; *exact* is one plan with the loops sought anew in the moved cloud, 1, 15, 30 and 60 frames ahead. Below are the
-times for the loops of that frame by seqPH (all that its update does), ripser.py and GUDHI. Times are of the processor (one core,
-one thread), medians of `--repeat` after one that is not counted; the clock's are beside them.
+many plans at once; *exact* is one plan with the loops sought anew in the moved cloud, 1, 15, 30 and 60 frames ahead. Beside it:
+the loops of that frame by seqPH, ripser.py and GUDHI. Times are of the processor (one core, one thread), medians of `--repeat`.
 """
 
 from __future__ import annotations
