@@ -111,11 +111,6 @@ def carry_of(points: Array, film: Any, frame: int) -> Array:
     return places[np.array(STEPS) - 1]
 
 
-def all_there(twins: Mapping[Any, Array | None], pair: list[int]) -> bool:
-    """Return whether no twin of a window was refused."""
-    return all(twins[(*pair, name)] is not None for name in TWINS)
-
-
 def simulated(run: Run, job: tuple[int, int, str]) -> Array | None:
     """Return the places (T, n, 3) of a twin of a film; None where what was drawn is not physical."""
     number, frame, name = job
@@ -185,7 +180,8 @@ def main() -> None:
     with ThreadPoolExecutor(options.workers) as pool:
         found = pool.map(lambda job: simulated(runs[job[0]], job), jobs)
         twins = dict(zip(jobs, tqdm(found, total=len(jobs), unit="twin"), strict=True))
-    windows = windows.select([i for i, pair in enumerate(windows.index.tolist()) if all_there(twins, pair)])
+    refused = {job[:2] for job, twin in twins.items() if twin is None}
+    windows = windows.select([i for i, pair in enumerate(windows.index.tolist()) if tuple(pair) not in refused])
 
     # Forecasts of all vertices, and how far they are from where the vertices came.
     model: Any = Predictor.load(options.model)

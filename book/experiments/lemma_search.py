@@ -3,14 +3,10 @@
     python book/experiments/lemma_search.py --random 10000 --optimised 500 --seed 0 > book/results/lemma_search.json
 
 Every random instance is a state, a motion and two observations, and goes through all statements. Every optimised one is a small
-cloud for one version of one statement, whose coordinates, motion and observed vertices change for as long as that brings
-statistic / bound up; a tenth more does the same for statements of the paper that are false, as a control. Counts by version:
-instances tried; those where its hypotheses hold and there is a loop to speak about; violations; the largest ratio among the
-former. A cloud that is shifted reaches a bound such as beta + epsilon with beta = 0, and says nothing about what must stand
-before beta. So for bounds with a factor before beta there is a second count, over instances whose beta is at least a tenth of
-the killer's length: the largest factor that was needed, (statistic - epsilon) / beta, and the beta there, in killer lengths;
-these instances climb by that. Half of the corollary's start from the seven points that refute the paper's.
-It prints the counts as JSON, and exits with 1 when a version that should be true is violated.
+cloud for one version of one statement; it is changed for as long as that brings statistic / bound up. A tenth more does the same
+for statements of the paper that are false, as a control. Where a factor stands before beta in the bound, instances with a beta of
+at least a tenth of the killer's length are counted once more, with the largest factor that was needed. The script prints the
+counts as JSON, and exits with 1 when a version that should be true is violated.
 """
 
 from __future__ import annotations
