@@ -1,8 +1,7 @@
 """What motion.py and unseen.py share: conditions, forecasters, and the tables of a record of forecasts.
 
-Idea: a condition is a choice of episodes and of what is done to their clouds. Every forecaster is asked about the same windows
-of it. `topokit.evaluate.measure_forecasts` measures each forecast, one row of a table for each model, training seed, window and
-step; the record has means of these rows with bootstrap intervals (tables.py).
+Idea: a condition is a choice of episodes and of what is done to their clouds. Every forecaster is asked about the same
+windows of it. The record has means over windows with bootstrap intervals (tables.py).
 
 Source: the figure is that of Antonova et al. 2021, section 6. Taught in chapter 15.
 """

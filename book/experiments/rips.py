@@ -1,8 +1,8 @@
 """Time degree-1 Rips persistence on one core: topokit, and its peers in the same run; book/results/rips.json.
 
 Peers that are not installed are left out: `pip install --group bench` gets them. Times are of the processor, medians of
-`--repeat` runs after one that is not counted; what takes longer than 2 s is run once. A peer is left out of a cloud when a quarter of its
-points say that it would take longer than `--patience`. The floor computes the lengths of all pairs up to the last death.
+`--repeat` runs; what takes longer than 2 s is run once. A peer is left out of a cloud when a quarter of its points predict
+more than `--patience`. The floor computes the lengths of all pairs up to the last death.
 
     python book/experiments/rips.py --json book/results/rips.json    # every row; --rows NAME... replaces some
     python book/experiments/rips.py --page                           # puts that file into book/speed.md

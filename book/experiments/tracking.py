@@ -2,11 +2,9 @@
 
     python book/experiments/tracking.py --episodes DIR --seeds 3 --out book/results/tracking.json
 
-Takes an hour on one core.
-
-Episodes that are missing are simulated into a folder (about ten seconds each), every episode is tracked and scored once, and its
-row is appended to scores.jsonl beside it: an interrupted run goes on where it was. The table pools the episodes; intervals are
-percentiles over bootstrap samples of episodes. With --clips a few frames around some failures are saved for the book.
+Takes an hour on one core. Episodes that are missing are simulated into a folder. Every episode is tracked and scored once,
+and its row is appended to scores.jsonl beside it. The table pools the episodes; intervals are percentiles over bootstrap
+samples of episodes. With --clips a few frames around some failures are saved for the book.
 """
 
 from __future__ import annotations
