@@ -92,8 +92,6 @@ class Bars(NamedTuple):
 Ids = list[NDArray[np.int64]]
 Linker = Callable[[list[Bars]], Ids]
 
-# ------------------------------------------------------------------------------------------------------ linkers of particles
-
 
 def table_of_bars(frames: list[Bars]) -> Any:
     """Return a table with a row for each bar: x, y, z, frame, and its number among the bars of all frames."""
@@ -152,9 +150,6 @@ def laptrack_link(frames: list[Bars], reach: float, memory: int) -> Ids:
         found, _, _ = linker.predict_dataframe(table, list("xyz"), frame_col="frame", only_coordinate_cols=False)
         ids[found["bar"].to_numpy()] = found["track_id"].to_numpy()
     return by_frame(frames, ids)
-
-
-# ------------------------------------------------------------------------------------------------------- a filter framework
 
 
 def stonesoup_link(
@@ -234,9 +229,6 @@ def _bar_of(state: Any, when: datetime) -> tuple[int, int] | None:
     return metadata.get("bar")
 
 
-# -------------------------------------------------------------------------------------------------------- matched diagrams
-
-
 def chained(frames: list[Bars], pairs_of: Callable[[Bars, Bars], list[tuple[int, int]]]) -> Ids:
     """Return identities that pairs of bars, (earlier, later), hand on from frame to frame."""
     count = 0
@@ -307,8 +299,6 @@ LINKERS: dict[str, tuple[Callable[..., Ids], list[dict[str, Any]]]] = {
 }
 """The linkers, each with the options that are tried on the tuning films."""
 
-# -------------------------------------------------------------------------------------------------------------------- bars
-
 
 def bars_of(state: tk.TopologicalState, cloud: NDArray[np.float64]) -> Bars:
     """Return the bars of a frame that a tracker calls loops."""
@@ -319,8 +309,6 @@ def bars_of(state: tk.TopologicalState, cloud: NDArray[np.float64]) -> Bars:
         np.array([(loop.birth, loop.death) for loop in loops]).reshape(-1, 2),
     )
 
-
-# -------------------------------------------------------------------------------------------------------------- experiment
 
 Asked = tuple[str, str, dict[str, Any]]  # linker, rule, options
 
@@ -483,9 +471,6 @@ def against_strangers(lines: dict[str, Any]) -> dict[str, Any]:
             given = [value for label, value in strangers.items() if label.endswith(helped)]
             found[condition][measure] = entry | ({"given_its_loops": max(given)} if given else {})
     return found
-
-
-# -------------------------------------------------------------------------------------------------------------------- page
 
 
 def tables(results: dict[str, Any]) -> str:
