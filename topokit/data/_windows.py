@@ -42,7 +42,9 @@ class _Tracked:
     def of(cls, arrays: Mapping[str, NDArray[Any]], cloud: Ticks) -> _Tracked:
         """Return the labels of a tracked cloud from their arrays: the killer triangles first, then the neighbours."""
         simplices = arrays["simplices"]
-        numbers = arrays["values"]
+        numbers = np.asarray(
+            arrays["values"], np.float32
+        )  # as labels store them, also where states were tracked just now
         frames, slots = simplices.shape[:2]
         killers = simplices[..., 4:10].reshape(frames, slots, 2, 3)
         neighbours = simplices[..., 10:].reshape(frames, slots, 4, 3)
