@@ -3,8 +3,6 @@
 from __future__ import annotations
 
 import collections
-import dataclasses
-import hashlib
 import json
 import re
 from pathlib import Path
@@ -13,15 +11,15 @@ import numpy as np
 import pytest
 
 from topokit._config import load
-from topokit.data import DatasetConfig, MeshFile
-from topokit.data._recipe import _physics, _scene, pinned
-from topokit.sim import TASKS, Cloth, Randomisation, SimulationConfig
+from topokit.data import DatasetConfig
+from topokit.data._recipe import _physics, _scene
+from topokit.sim import Cloth, Randomisation, SimulationConfig
 
 from small_datasets import TINY, write_cloth
 
 MOTION = load(DatasetConfig, Path(__file__).parent.parent / "book" / "datasets" / "motion.json")
 
-BAG = {"version": 2, "tasks": {"bag-hook": 1}, "meshes": {"bag": {"file": "b.obj", "up": "z", "grips": [0, 1]}}}
+BAG = {"tasks": {"bag-hook": 1}, "meshes": {"bag": {"file": "b.obj", "up": "z", "grips": [0, 1]}}}
 
 
 @pytest.mark.parametrize(
@@ -32,11 +30,7 @@ BAG = {"version": 2, "tasks": {"bag-hook": 1}, "meshes": {"bag": {"file": "b.obj
         DatasetConfig(randomisation=None, cameras=2, depth_noise=True),
         DatasetConfig(randomisation=Randomisation(scale=None, mass=(0.1, 0.2)), simulation=SimulationConfig(frames=90)),
         MOTION,
-        DatasetConfig(
-            version=2,
-            tasks={"bag-hook": 1},
-            meshes={"bag": MeshFile("bag.obj", "-z", [0, 4], loops={"neck": [3, 1, 2]}, unit=0.01)},
-        ),
+        DatasetConfig.from_json(BAG),
     ],
 )
 def test_json_gives_the_configuration_back(config):
@@ -49,39 +43,22 @@ def test_json_gives_the_configuration_back(config):
         ({"tasks": {}}, "tasks: "),
         ({"tasks": {"apron-moon": 1}}, "no 'apron-moon'"),
         ({"tasks": {"apron-hook": 0}}, "tasks.apron-hook"),
-        ({"sizes": {"kilt": {}}}, "no task has a garment 'kilt'"),
+        ({"sizes": {"kilt": {}}}, "no garment 'kilt'"),
         ({"n_observed": 0}, "n_observed"),
         ({"depth_noise": True}, "cameras is 0"),
         ({"colour": 1}, "the configuration: there is no 'colour'"),
         ({"simulation": {"gravity": 1}}, "the configuration: there is no 'simulation.gravity'"),
         ({"simulation": {"dt": -1}}, "simulation.dt"),
         ({"randomisation": {"luck": 1}}, "there is no 'randomisation.luck'"),
-        ({"randomisation": {"version": 0}}, "another version"),
-        ({"version": 3}, "version"),
-        ({"vary": 0.3}, "vary"),
-        ({**BAG, "version": 1}, "meshes"),
         (BAG | {"tasks": {"sack-hook": 1}}, "no 'sack-hook'; there are apron-hook"),
         (BAG | {"tasks": {"bag-moon": 1}}, "bag-hook, bag-hanger, bag-mannequin"),
-        (BAG | {"tasks": {"apron-hook": 1}}, "meshes: 'bag' has no task"),
-        (
-            BAG | {"meshes": {"apron": BAG["meshes"]["bag"]}, "tasks": {"apron-hook": 1}},
-            "'apron' is a garment of the ward",
-        ),
-        (BAG | {"sizes": {"bag": {"spacing": 0.1}}}, "sizes are of the wardrobe's garments: give meshes['bag'] a size"),
-        (BAG | {"meshes": {"bag": BAG["meshes"]["bag"] | {"loops": "all"}}}, "meshes.bag.loops"),
-        (BAG | {"meshes": {"bag": BAG["meshes"]["bag"] | {"sha256": "12"}}}, "meshes.bag.sha256"),
-        ({"version": 2, "off_script": 2}, "off_script"),
+        (BAG | {"sizes": {"bag": {"spacing": 0.1}}}, "no garment 'bag' of the wardrobe"),
+        ({"off_script": 2}, "off_script"),
     ],
 )
 def test_a_wrong_configuration_is_refused(values, says):
     with pytest.raises(ValueError, match=re.escape(says)):
         DatasetConfig.from_json(values)
-
-
-def test_a_size_that_no_garment_has_is_refused():
-    config = DatasetConfig(tasks={"sheet-hook": 1}, sizes={"sheet": {"sleeves": 2}})
-    with pytest.raises(ValueError, match=r"sizes\['sheet'\].*sleeves"):
-        config.garment("sheet-hook")
 
 
 def test_draws_are_pure_and_do_not_depend_on_the_order_of_tasks():
@@ -100,42 +77,14 @@ def test_tasks_are_drawn_at_their_weights():
     assert abs(count["apron-hook"] / 4000 - 0.75) < 0.03  # four standard deviations
 
 
-def test_every_task_of_version_one_is_drawn_by_default():
-    config, later = DatasetConfig(), ("scarf", "belt", "net")
-    assert {config.draw(0, i).task for i in range(400)} == {task for task in TASKS if task.split("-")[0] not in later}
-
-
 @pytest.fixture(scope="module")
 def bag(tmp_path_factory):
     path = tmp_path_factory.mktemp("meshes") / "bag.obj"
-    return MeshFile(str(path), **write_cloth(path))
+    return {"file": str(path), **write_cloth(path)}
 
 
 def own(mesh, **values):
-    return DatasetConfig(version=2, tasks={"bag-hook": 1}, meshes={"bag": mesh}, **values)
-
-
-def test_a_mesh_is_pinned(bag):
-    config = pinned(own(bag, simulation=SimulationConfig(frames=20)))
-    garment, mesh = config.garment("bag-hook"), config.meshes["bag"]
-    assert (garment.name, garment.loop_names) == ("bag", ("hole",))
-    assert mesh.sha256 == hashlib.sha256(Path(bag.file).read_bytes()).hexdigest()
-    assert pinned(config) == config
-    # A dataset opens and is checked where there is no such file.
-    away = own(dataclasses.replace(mesh, file="/nowhere/bag.obj"), simulation=config.simulation)
-    assert DatasetConfig.from_json(away.to_json()) == away
-
-
-def test_a_mesh_that_cannot_be_meant_is_refused(bag, tmp_path):
-    with pytest.raises(FileNotFoundError, match=r"gone\.obj: there is no such file"):
-        pinned(own(MeshFile(str(tmp_path / "gone.obj"), "z", [0, 1])))
-    with pytest.raises(ValueError, match="the bag may hang; it has none"):
-        pinned(own(dataclasses.replace(bag, loops={})))
-    known = pinned(own(bag)).meshes["bag"]
-    write_cloth(tmp_path / "bag.obj", stretched=1.01)
-    other = dataclasses.replace(known, file=str(tmp_path / "bag.obj"))
-    with pytest.raises(ValueError, match=f"another mesh: its SHA-256 is [0-9a-f]{{64}}, .* says {known.sha256}"):
-        own(other).garment("bag-hook")
+    return DatasetConfig(tasks={"bag-hook": 1}, meshes={"bag": mesh}, **values)
 
 
 def test_a_mesh_weighs_by_its_area_and_ranges_are_factors(bag):
@@ -168,25 +117,21 @@ def test_a_mesh_varies_as_a_whole(bag):
         np.testing.assert_allclose(garment.vertices, factors[-1] * whole.vertices)
         assert garment.length * Randomisation().scale[1] <= target.seat[2]
     assert 1 / 1.5 <= min(factors) < 0.9 < 1.1 < max(factors) <= 1.5
-    long = own(dataclasses.replace(bag, size=2.4), vary=0.5)  # already too long for a hook: it gets no longer
+    long = own({**bag, "unit": None, "size": 2.4}, vary=0.5)  # already too long for a hook: it gets no longer
     assert max(_scene(long, "bag-hook", seed)[1].parameters["varied"] for seed in range(20)) <= 1
 
 
 @pytest.mark.parametrize(
     ("text", "says"),
     [
-        ("[" * 100_000, "not JSON"),
-        ('{"n_observed": NaN}', "n_observed"),
-        ('{"n_observed": 1e999}', "n_observed"),
         ("\x00", "not JSON"),
-        ("[" + "1," * 10**6 + "1]", "named entries"),
+        ("[1]", "named entries"),
+        ('{"n_observed": NaN}', "n_observed"),
         ('{"n_observed": "1979-05-27"}', "n_observed"),
-        ('{"n_observed": ' + "9" * 5000 + "}", "not JSON"),
     ],
 )
 def test_a_configuration_of_any_kind_names_the_file(tmp_path, text, says):
     path = tmp_path / "c.json"
     path.write_text(text)
-    with pytest.raises(ValueError, match=rf"c\.json.*{says}") as caught:
+    with pytest.raises(ValueError, match=rf"c\.json.*{says}"):
         load(DatasetConfig, path)
-    assert len(str(caught.value)) < 1000

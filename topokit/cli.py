@@ -336,10 +336,7 @@ def generate(out: Path, episodes: int, seed: int = 0, config: Path | None = None
     if config is not None:
         settings = load(DatasetConfig, config)
         # Paths of meshes are relative to the configuration.
-        meshes = {
-            name: dataclasses.replace(mesh, file=str(config.parent / mesh.file))
-            for name, mesh in settings.meshes.items()
-        }
+        meshes = {name: {**mesh, "file": str(config.parent / mesh["file"])} for name, mesh in settings.meshes.items()}
         settings = dataclasses.replace(settings, meshes=meshes)
     progress = sys.stderr.isatty()
     dataset = generate_dataset(settings, out, episodes, seed, n_workers=workers, progress=progress)

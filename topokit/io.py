@@ -20,7 +20,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from ._archive import FormatError, load_archive, save_archive
-from ._validate import WrongKindError, as_ids, as_reals
+from ._validate import WrongKindError, as_ids
 from .rips import Diagram, rips_persistence
 from .seqph import Loop, TopologicalState
 
@@ -30,7 +30,6 @@ SCHEMA = 2
 # Frames that a forecast looks back on, and frames that it looks ahead to (Antonova et al. 2021, section 5).
 HISTORY = 16
 HORIZON = 60
-FEWEST_FRAMES = HISTORY + HORIZON
 TICKS = 10_000  # units of a stored coordinate in a metre
 #: Names of the loops of the wardrobe's garments, which files of episodes leave out.
 LOOP_NAMES = {
@@ -48,21 +47,18 @@ LOOP_NAMES = {
 }
 EPISODE_KIND = "topokit-episode"
 ABSENT = 65535  # the point id that stands for "no neighbour"
-_FILMS = ("points", "observed", "actions", "grippers")  # positions, a row a frame
-_POSITIONS = (*_FILMS, "centre_line")
-_TEXT: dict[str, type] = {
-    **dict.fromkeys(("garment", "target", "task"), str),
-    **{"success": bool, "seed": int, "schema": int, "dt": float},
-    **dict.fromkeys(("observation", "physics", "provenance"), dict),
-}
-# Arrays in a file of an episode: kind of number, then sizes; one letter is one size throughout.
+# Arrays: kinds of number, then sizes; one letter is one size throughout.
 _EPISODE_LAYOUT = {
-    **{"points": "i T N 3", "actions": "i T 2 3", "grippers": "i T 2 3", "centre_line": "i K 3"},
+    **{
+        "points": "if T N 3",
+        "observed": "if T M 3",
+        "actions": "if T 2 3",
+        "grippers": "if T 2 3",
+        "centre_line": "if K 3",
+    },
     **{"held": "b T", "faces": "i F 3"},
 }
-# An observation is stored as positions, or, when its points are vertices, as their ids.
-_OBSERVED_LAYOUT = {"observed": "i T M 3"}
-_OBSERVED_IDS_LAYOUT = {"observed_ids": "u T M"}
+_STATES_LAYOUT = {"id": "i T S", "simplices": "u T S 22", "values": "f T S 7", "parameters": "f T 4"}
 
 
 @dataclass(frozen=True, eq=False)
@@ -153,7 +149,9 @@ def save_episode(path: str | Path, episode: Episode) -> Path:
         arrays["observed_ids"] = ids
 
     # All else is text in the header.
-    header: dict[str, Any] = {name: getattr(episode, name) for name in _TEXT}
+    header: dict[str, Any] = {
+        name: value for name, value in vars(episode).items() if name not in (*_EPISODE_LAYOUT, "loops")
+    }
     header["frames"] = len(episode)
     header["loops"] = [np.asarray(loop).tolist() for loop in episode.loops]
     return save_archive(path, EPISODE_KIND, header, arrays)
@@ -170,25 +168,32 @@ def load_episode(path: str | Path) -> Episode:
         When the file is empty, damaged, of another format or of another schema; the message names the reason.
     """
     header, arrays = load_archive(path, EPISODE_KIND)
-    _check_schema(path, header, SCHEMA, "record it again")
+    if header.get("schema") != SCHEMA:
+        raise FormatError(f"{path}: schema {header.get('schema')} where {SCHEMA} is expected: record it again")
     try:
-        of_vertices = "observed_ids" in arrays
-        check_layout(arrays, _EPISODE_LAYOUT | (_OBSERVED_IDS_LAYOUT if of_vertices else _OBSERVED_LAYOUT))
+        unknown = sorted(arrays.keys() - {*_EPISODE_LAYOUT, "observed_ids"})
+        if unknown:
+            raise KeyError(unknown[0])
         parts: dict[str, Any] = {"held": arrays["held"], "faces": arrays["faces"]}
         parts["centre_line"] = as_metres(arrays["centre_line"])
         for name in ("points", "actions", "grippers"):
-            parts[name] = as_metres(_sums(arrays[name]))
-        if of_vertices:
+            parts[name] = as_metres(_sums(arrays[name]), name)
+        if "observed_ids" in arrays:
             ids = as_ids(arrays["observed_ids"], "observed_ids", arrays["points"].shape[1])
+            if ids.ndim != 2 or len(ids) != len(parts["points"]):
+                raise ValueError(f"observed_ids has shape {ids.shape}, and there are {len(parts['points'])} frames")
             parts["observed"] = parts["points"][np.arange(len(ids))[:, None], ids]
         else:
             parts["observed"] = as_metres(_sums(arrays["observed"]))
-        loops = tuple(_loop_of(ids) for ids in header.pop("loops"))
+        vertices = arrays["points"].shape[1]
+        loops = tuple(
+            as_ids(ids, f"loops[{i}]", vertices).astype(np.int32) for i, ids in enumerate(header.pop("loops"))
+        )
         if header.pop("frames") != len(arrays["held"]):
             raise ValueError("the header gives another number of frames than the arrays")
         episode = Episode(loops=loops, **parts, **header)
         check_episode(episode)
-    except (KeyError, TypeError) as error:
+    except (KeyError, TypeError, IndexError) as error:
         raise FormatError(f"{path}: an episode with a missing or an unknown part: {error}; record it again") from error
     except ValueError as error:
         raise FormatError(f"{path}: {error}") from error
@@ -197,46 +202,22 @@ def load_episode(path: str | Path) -> Episode:
 
 def check_episode(episode: Episode) -> None:
     """Raise ValueError unless the parts of an episode fit each other; the message names the part and the place."""
-    for name in (*_POSITIONS, "held", "faces"):
-        if not isinstance(as_reals(getattr(episode, name), name), type(getattr(episode, name))):
-            raise WrongKindError(f"{name} must be an array, not {type(getattr(episode, name)).__name__}")
-    _check_shapes(episode)
-    for name in _POSITIONS:
+    if len(episode) == 0:
+        raise ValueError("points holds no frame")
+    check_layout({name: getattr(episode, name) for name in _EPISODE_LAYOUT}, _EPISODE_LAYOUT)
+    for name in ("points", "observed", "actions", "grippers", "centre_line"):
         positions = getattr(episode, name)
         finite = np.isfinite(positions).reshape(len(positions), -1).all(axis=1)
         if not finite.all():
-            unit = "row" if name == "centre_line" else "frame"
-            raise ValueError(f"{name} has a NaN or infinite coordinate in {unit} {np.flatnonzero(~finite)[0]}")
-    for name, kind in _TEXT.items():
-        value = getattr(episode, name)
-        if type(value) is not kind and not (kind is float and type(value) is int):
-            raise WrongKindError(f"{name} must be a {kind.__name__}, not {value!r:.80}")
-    if not np.isfinite(episode.dt) or episode.dt <= 0:
-        raise ValueError(f"dt must be a positive number of seconds between two frames, not {episode.dt}")
+            raise ValueError(f"{name} has a NaN or infinite coordinate in frame or row {np.flatnonzero(~finite)[0]}")
+    for i, loop in enumerate((episode.faces.ravel(), *episode.loops)):
+        if as_ids(loop, "faces" if i == 0 else f"loops[{i - 1}]", episode.points.shape[1]).ndim != 1:
+            raise ValueError(f"loops[{i - 1}] has shape {np.shape(loop)}; a loop is a list of vertex ids")
+    if type(episode.dt) not in (int, float) or not 0 < episode.dt < np.inf:
+        raise ValueError(f"dt must be a positive number of seconds between two frames, not {episode.dt!r}")
+    if not isinstance(episode.physics, dict):
+        raise WrongKindError(f"physics must be a dict, not {episode.physics!r:.80}")
     _check_loop_names(episode)
-
-
-def _check_shapes(episode: Episode) -> None:
-    """Raise ValueError unless the arrays of an episode have one row a frame, and ids are ids of vertices."""
-    if episode.points.ndim == 3 and len(episode.points) == 0:
-        raise ValueError("points holds no frame")
-    frames = len(episode.points)
-    for name in _FILMS:
-        shape = getattr(episode, name).shape
-        rows = "2" if name in ("actions", "grippers") else "N"
-        fits = len(shape) == 3 and shape[0] == frames and shape[2] == 3
-        if not fits or (rows == "2" and shape[1] != 2):
-            raise ValueError(f"{name} has shape {shape}; expected ({frames}, {rows}, 3), a row a frame")
-    if episode.held.shape != (frames,):
-        raise ValueError(f"held has shape {episode.held.shape}; expected ({frames},)")
-    for name in ("centre_line", "faces"):
-        if np.shape(getattr(episode, name))[1:] != (3,):
-            raise ValueError(f"{name} has shape {np.shape(getattr(episode, name))}; expected rows of three")
-    vertices = episode.points.shape[1]
-    as_ids(episode.faces, "faces", vertices)
-    for i, loop in enumerate(episode.loops):
-        if as_ids(loop, f"loops[{i}]", vertices).ndim != 1:
-            raise ValueError(f"loops[{i}] has shape {np.shape(loop)}; a loop is a list of vertex ids")
 
 
 def _check_loop_names(episode: Episode) -> None:
@@ -260,8 +241,10 @@ def as_ticks(positions: NDArray[Any], name: str = "positions") -> NDArray[np.sig
     raise ValueError(f"{name} reaches {farthest / TICKS:.0f} m from the origin; a file holds coordinates up to 214 km")
 
 
-def as_metres(ticks: NDArray[Any]) -> NDArray[np.float32]:
+def as_metres(ticks: NDArray[Any], name: str = "positions") -> NDArray[np.float32]:
     """Return positions in metres from ticks."""
+    if ticks.dtype.kind != "i":
+        raise ValueError(f"{name} must be whole ticks, not {ticks.dtype}")
     metres = np.empty(ticks.shape, dtype=np.float32)
     np.divide(ticks, TICKS, out=metres, dtype=np.float64, casting="same_kind")  # a buffer at a time
     return metres
@@ -290,25 +273,6 @@ def _vertex_ids(points: NDArray[Any], observed: NDArray[Any]) -> NDArray[np.uint
     return ids
 
 
-def _loop_of(ids: object) -> NDArray[np.int32]:
-    """Return a loop of a header as an array."""
-    if not isinstance(ids, list) or {type(i) for i in ids} - {int}:
-        raise WrongKindError(f"a loop must be a list of vertex ids, not {ids!r:.80}")
-    if not all(0 <= i < 2**31 for i in ids):
-        raise ValueError(
-            f"a loop names vertex {next(i for i in ids if not 0 <= i < 2**31)!s:.80}, which no episode has"
-        )
-    return np.array(ids, dtype=np.int32)
-
-
-def _check_schema(path: str | Path, header: dict[str, Any], schema: int, remedy: str) -> None:
-    """Raise FormatError unless a header is of the schema that this topokit reads."""
-    if header.get("schema") != schema:
-        raise FormatError(
-            f"{path}: schema {header.get('schema')} where {schema} is expected: update topokit or {remedy}"
-        )
-
-
 def check_layout(arrays: Mapping[str, NDArray[Any]], layout: dict[str, str]) -> None:
     """Raise unless these are the arrays of a layout, each of its kind of number and shape; a letter is one size throughout."""
     unknown = sorted(arrays.keys() - layout.keys())
@@ -321,15 +285,11 @@ def check_layout(arrays: Mapping[str, NDArray[Any]], layout: dict[str, str]) -> 
         expected = []
         for letter, size in zip(letters, array.shape, strict=False):
             expected.append(int(letter) if letter.isdigit() else sizes.setdefault(letter, size))
-        fits = array.dtype.kind == kind and array.shape == tuple(expected) and len(letters) == array.ndim
-        if array.shape != (0,) and not fits:
+        if array.dtype.kind not in kind or array.shape != tuple(expected) or len(letters) != array.ndim:
             raise ValueError(f"{name} is of type {array.dtype} and shape {array.shape}, and does not fit")
 
 
 # -- loops of tracked states, the form in which files of states and labels of datasets store them ---------------------------
-
-#: The arrays of T frames with S slots, and the columns of their `simplices` and `values`.
-_STATES_LAYOUT = {"id": "i T S", "simplices": "u T S 22", "values": "f T S 7", "parameters": "f T 4"}
 
 
 def state_arrays(states: Sequence[TopologicalState], slots: int) -> dict[str, NDArray[Any]]:
@@ -466,7 +426,8 @@ def load_states(path: str | Path, clouds: Sequence[NDArray[Any]]) -> list[Topolo
         When the file is damaged, of another format or schema, or of other clouds; the message names the reason.
     """
     header, arrays = load_archive(path, "topokit-states")
-    _check_schema(path, header, 4, "track them again")
+    if header.get("schema") != 4:
+        raise FormatError(f"{path}: schema {header.get('schema')} where 4 is expected: track the clouds again")
     try:
         times = arrays.pop("time")
         check_states(arrays, clouds)

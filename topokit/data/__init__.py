@@ -11,7 +11,7 @@ if TYPE_CHECKING:
     from ._dataset import Dataset
     from ._generate import generate_dataset
     from ._label import label_dataset
-    from ._recipe import DatasetConfig, MeshFile, make_episode
+    from ._recipe import DatasetConfig, make_episode
     from ._windows import WindowDataset
 
 __getattr__, __dir__, __all__ = attach(__name__, __file__, "data,sim,learn")

@@ -11,13 +11,12 @@ from importlib.util import find_spec
 from pathlib import Path
 from typing import Any
 
-from topokit._validate import positive
+from topokit._validate import positive, whole
 from topokit.io import save_episode
 from topokit.sim import SimulationError
 
 from ._dataset import ABOUT, Dataset
 from ._folder import (
-    MOST_EPISODES,
     archive_path,
     begin,
     failure_path,
@@ -26,7 +25,7 @@ from ._folder import (
     write_json,
 )
 from ._jobs import make_files
-from ._recipe import DatasetConfig, checked_file, make_episode, pinned
+from ._recipe import DatasetConfig, make_episode, task_of
 
 _PACKAGES = ("numpy", "scipy", "pybullet")  # the versions of these are recorded, since the bytes depend on them
 
@@ -73,7 +72,7 @@ def generate_dataset(
     Raises
     ------
     ValueError
-        When the folder was begun with another configuration, seed or version, or a mesh file has changed since; the message
+        When the folder was begun with another configuration, seed or version; the message
         names the difference.
     FileNotFoundError
         When the file of a mesh does not exist.
@@ -82,13 +81,16 @@ def generate_dataset(
     """
     if find_spec("pybullet") is None:
         raise ImportError("generate_dataset needs PyBullet: pip install 'topokit[sim,data]'")
-    for name, number, least, most in (("episodes", episodes, 1, MOST_EPISODES), ("seed", seed, 0, 2**128)):
-        if isinstance(number, bool) or not isinstance(number, int) or not least <= number <= most:
-            raise ValueError(f"{name} must be a whole number from {least} to {most:,}, not {number!r}")
+    whole(episodes, "episodes", 1)
+    whole(seed, "seed")
     positive(time_limit, "time_limit", zero=False)
+    # Read meshes of one's own before anything is written.
+    for task in config.tasks:
+        if task.rpartition("-")[0] in config.meshes:
+            task_of(config, task, config.garment(task))
     # Begin the folder, or check that it was begun with the same configuration, seed and versions.
     folder = Path(out)
-    about = {"schema": 2, "config": pinned(config).to_json(), "seed": seed, "episodes": episodes}
+    about = {"schema": 2, "config": config.to_json(), "seed": seed, "episodes": episodes}
     begin(folder, ABOUT, {**about, "versions": versions_of(*_PACKAGES)})
     dataset = Dataset(folder)
     # Forget the failures that are to be tried again.
@@ -112,8 +114,6 @@ def _make_file(folder: str, number: int) -> str:
     """
     dataset = Dataset(folder)
     refuse_other_versions(dataset.folder, dataset.settings.versions)
-    for mesh in dataset.config.meshes.values():
-        checked_file(mesh)
     description = _describe(dataset, number)
     try:
         episode = make_episode(dataset.config, dataset.seed, number, time_limit=None)

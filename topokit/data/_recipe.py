@@ -7,22 +7,18 @@ from __future__ import annotations
 
 import dataclasses
 import functools
-import hashlib
 import json
 from collections.abc import Mapping, Sequence
 from dataclasses import field
-from pathlib import Path
-from typing import Annotated, Any, Literal, NamedTuple
+from typing import Annotated, Any, NamedTuple
 
 import numpy as np
-from pydantic import BeforeValidator, Field
+from pydantic import Field
 
-from topokit._archive import existing
-from topokit._config import Count, Positive, as_tuple, checked, from_mapping
+from topokit._config import Count, Positive, checked, from_mapping
 from topokit.io import Episode
 from topokit.sim import (
     TASKS,
-    WARDROBE,
     Camera,
     Cloth,
     Garment,
@@ -37,46 +33,12 @@ from topokit.sim import (
 
 from ._sizes import Target, varied_garment, varied_target
 
-_LATER = ("scarf", "belt", "net")  # garments that are not in the default tasks of version 1
-_OF_TWO = ("off_script", "places", "vary", "meshes")
-_TARGETS: Mapping[str, type[Target]] = {kind.name: kind for kind in (Hook, Hanger, Mannequin)}
-Ids = Annotated[tuple[int, ...], BeforeValidator(as_tuple)]
-_FINEST = 0.005  # metres between vertices; a finer garment would take hours to mesh
-
 
 class Draw(NamedTuple):
     """The task and the seed of an episode."""
 
     task: str
     seed: int  # seed of the episode, 63 bits
-
-
-def _ranges(values: Any) -> Any:
-    """Return the ranges of a JSON document, without the version that `to_json` adds, and with tuples for lists."""
-    if not isinstance(values, Mapping):
-        return values
-    if values.get("version", Randomisation.version) != Randomisation.version:
-        raise ValueError(f"randomisation has another version; this topokit has {Randomisation.version}")
-    return {name: as_tuple(value) for name, value in values.items() if name != "version"}
-
-
-@checked
-class MeshFile:
-    """A garment of one's own in a dataset: a file, and the options of `topokit.sim.Garment.from_mesh` to read it with."""
-
-    file: str  #: path (OBJ, PLY or STL); in the file of a configuration relative to that file
-    up: Literal["x", "y", "z", "-x", "-y", "-z"]  #: the axis that points up
-    grips: Ids  #: two vertex ids
-    #: checksum of the file's bytes; `generate_dataset` fills it in, makes the path absolute, and refuses another mesh
-    sha256: Annotated[str, Field(pattern="^([0-9a-f]{64})?$")] = ""
-    #: loops by name: vertex ids, or names of loops that are found in the mesh ("loop 2")
-    loops: Literal["auto"] | Mapping[str, str | Ids] = "auto"
-    size: Positive | None = None  #: largest extent, metres
-    unit: Positive | None = None  #: metres in one unit of the file, instead of a size
-
-    def __post_init__(self) -> None:
-        if not isinstance(self.loops, str):  # sorted: a JSON object has no order
-            object.__setattr__(self, "loops", dict(sorted(self.loops.items())))
 
 
 @checked
@@ -93,16 +55,14 @@ class DatasetConfig:
         When a task or a garment is unknown, or a value is not allowed; the message names it.
     """
 
-    #: Version of the meaning of these numbers and of the order of the draws; saved with them. Fields of version 2 are marked.
-    version: Literal[1, 2] = 1
     #: Names in `topokit.sim.TASKS` (a garment and a target) with the weights at which they are drawn.
     tasks: Annotated[Mapping[str, Positive], Field(min_length=1)] = field(
-        default_factory=lambda: {task: 1.0 for task in TASKS if task.partition("-")[0] not in _LATER}
+        default_factory=lambda: dict.fromkeys(TASKS, 1.0)
     )
     #: Physics and length: `frames` is the length of every episode; None records each path to its end, at least 76 frames.
     simulation: SimulationConfig = field(default_factory=SimulationConfig)
     #: Ranges of physics, size and cameras; None varies the path alone.
-    randomisation: Annotated[Randomisation | None, BeforeValidator(_ranges)] = field(default_factory=Randomisation)
+    randomisation: Randomisation | None = field(default_factory=Randomisation)
     #: Sizes of a garment, by its name, that differ from the default ones: ``{"sheet": {"spacing": 0.05}}``.
     sizes: Mapping[str, Mapping[str, Annotated[float, Field(ge=0, le=10)]]] = field(default_factory=dict)
     n_observed: Count = 512  #: points of an observation; all vertices of a garment with fewer, when all sides are seen
@@ -110,38 +70,29 @@ class DatasetConfig:
     cameras: Annotated[int, Field(ge=0, le=100)] = 0
     camera_distance: Positive = 2.2  #: metres from the cameras to the seat of the target
     depth_noise: bool = False  #: True gives the cameras the noise of a depth sensor
-    #: Share of the episodes whose path leaves its script (`topokit.sim.Task.off_script`). This and all later fields: version 2.
+    #: Share of the episodes whose path leaves its script (`topokit.sim.Task.off_script`).
     off_script: Annotated[float, Field(ge=0, le=1)] = 0.0
     #: Half the side, in metres, of the square in which the target's place is drawn, with any yaw; 0 draws neither.
     places: Annotated[float, Field(ge=0, le=1)] = 0.0
     #: Variation of sizes: each size of the garment is multiplied by 1 / (1 + vary) to 1 + vary. Sizes of the target, and of
     #: a mannequin's garment, which must fit, vary by half as much.
     vary: Annotated[float, Field(ge=0, le=1)] = 0.0
-    #: Meshes of one's own by their names, which `tasks` may then name: ``{"bag": {"file": "bag.obj"}}`` allows "bag-hook",
-    #: "bag-hanger" and "bag-mannequin". Files are read when episodes are made, not when a dataset is opened. `vary` scales a
-    #: mesh as a whole.
-    meshes: Mapping[str, MeshFile] = field(default_factory=dict)
+    #: Meshes of one's own by their names, which `tasks` may then name, each with the options of `Garment.from_mesh`:
+    #: ``{"bag": {"file": "bag.obj", "up": "z", "size": 0.6, "grips": [3, 9]}}`` allows "bag-hook", "bag-hanger" and
+    #: "bag-mannequin". `vary` scales a mesh as a whole.
+    meshes: Mapping[str, Mapping[str, Any]] = field(default_factory=dict)
 
     def __post_init__(self) -> None:
-        new = [name for name in _OF_TWO if getattr(self, name) and self.version == 1]
-        if new:
-            raise ValueError(f"{new[0]} needs version 2 of the configuration, and version is 1: set version to 2")
-        known = [*TASKS, *(f"{mesh}-{target}" for mesh in self.meshes for target in _TARGETS)]
+        known = [*TASKS, *(f"{mesh}-{target}" for mesh in self.meshes for target in ("hook", "hanger", "mannequin"))]
         unknown = [name for name in self.tasks if name not in known]
         if unknown:
             raise ValueError(f"tasks: there is no {', '.join(map(repr, unknown))}; there are {', '.join(known)}")
         garments = sorted({name.rpartition("-")[0] for name in self.tasks})
-        for name in self.meshes:
-            if name in WARDROBE or name not in garments:
-                why = "is a garment of the wardrobe: call it otherwise" if name in WARDROBE else "has no task: name one"
-                raise ValueError(f"meshes: {name!r} {why}")
         for name in self.sizes:
-            if name in self.meshes:
-                raise ValueError(f"sizes are of the wardrobe's garments: give meshes[{name!r}] a size, or a unit")
-            if name not in garments:
-                raise ValueError(f"sizes: no task has a garment {name!r}; the tasks have {', '.join(garments)}")
-            if self.sizes[name].get("spacing", 1.0) < _FINEST:
-                raise ValueError(f"sizes: spacing of {name!r} must be at least {_FINEST} m: a finer one fits none")
+            if name in self.meshes or name not in garments:
+                raise ValueError(
+                    f"sizes: there is no garment {name!r} of the wardrobe in the tasks: {', '.join(garments)}"
+                )
         if self.depth_noise and not self.cameras:
             raise ValueError("depth_noise needs cameras, and cameras is 0")
         # Sorted: the draws must not depend on the order of the tasks.
@@ -150,12 +101,8 @@ class DatasetConfig:
 
     def to_json(self) -> dict[str, Any]:
         """Return plain numbers, lists and dictionaries; `from_json` gives the same configuration back."""
-        values = dataclasses.asdict(self)
-        if self.randomisation is not None:
-            values["randomisation"] = {"version": Randomisation.version, **values["randomisation"]}
-        plain: dict[str, Any] = json.loads(json.dumps(values))  # tuples become lists
-        left_out = _OF_TWO if self.version == 1 else () if self.meshes else ("meshes",)
-        return {name: value for name, value in plain.items() if name not in left_out}
+        plain: dict[str, Any] = json.loads(json.dumps(dataclasses.asdict(self)))  # tuples become lists
+        return plain
 
     @classmethod
     def from_json(cls, values: Mapping[str, Any]) -> DatasetConfig:
@@ -176,55 +123,18 @@ class DatasetConfig:
         return Draw(names[place], int(rng.integers(2**63)))
 
     def garment(self, task: str) -> Garment:
-        """Return the garment of a task in its size in this configuration; a mesh is read from its file.
-
-        Raises
-        ------
-        ValueError
-            When the garment has no such size, or the file has another checksum than the mesh.
-        """
+        """Return the garment of a task in its size in this configuration; a mesh is read from its file."""
         name = task.rpartition("-")[0]
         if name in self.meshes:
-            return _garment_of_mesh(name, self.meshes[name])
-        try:
-            return TASKS[task].garment(**self.sizes.get(name, {}))
-        except TypeError as error:
-            raise ValueError(f"sizes[{name!r}]: {error}") from error
+            options = dict(self.meshes[name])
+            return Garment.from_mesh(options.pop("file"), **options, name=name)
+        return TASKS[task].garment(**self.sizes.get(name, {}))
 
 
-def checked_file(mesh: MeshFile) -> tuple[Path, str]:
-    """Return path and checksum of a mesh; raise ValueError when its file has another checksum than the configuration."""
-    path = existing(mesh.file).resolve()
-    checksum = hashlib.sha256(path.read_bytes()).hexdigest()
-    if mesh.sha256 not in ("", checksum):
-        what = f"its SHA-256 is {checksum}, and the configuration says {mesh.sha256}"
-        raise ValueError(f"{path}: another mesh: {what}; bring that one back, or make a new dataset")
-    return path, checksum
-
-
-def _garment_of_mesh(name: str, mesh: MeshFile) -> Garment:
-    path, _ = checked_file(mesh)
-    options = {option: getattr(mesh, option) for option in ("loops", "grips", "size", "unit", "up")}
-    return dataclasses.replace(Garment.from_mesh(path, **options), name=name)
-
-
-def pinned(config: DatasetConfig) -> DatasetConfig:
-    """Return the configuration with paths and checksums of its meshes, which are read here."""
-    meshes = {}
-    for name, mesh in config.meshes.items():
-        path, checksum = checked_file(mesh)
-        garment = _garment_of_mesh(name, mesh)
-        for task in config.tasks:
-            if task.rpartition("-")[0] == name:
-                _task(config, task, garment)  # refuses a garment that has no loop to hang it by
-        meshes[name] = dataclasses.replace(mesh, file=str(path), sha256=checksum)
-    return dataclasses.replace(config, meshes=meshes)
-
-
-def _task(config: DatasetConfig, name: str, garment: Garment) -> Task:
+def task_of(config: DatasetConfig, name: str, garment: Garment) -> Task:
     mesh, _, target = name.rpartition("-")
     if mesh in config.meshes:
-        return Task.of(garment, _TARGETS[target]())
+        return Task.of(garment, {"hook": Hook, "hanger": Hanger, "mannequin": Mannequin}[target]())
     return TASKS[name]
 
 
@@ -257,7 +167,7 @@ def _physics(config: DatasetConfig, garment: Garment) -> tuple[SimulationConfig,
 def _scene(config: DatasetConfig, name: str, seed: int) -> tuple[Task, Garment, Target]:
     """Return task, garment and target of an episode; sizes, place and script have a generator each."""
     garment = config.garment(name)
-    task = _task(config, name, garment)
+    task = task_of(config, name, garment)
     target = task.target
     if config.vary:
         garment, target = _varied(config, name, task, garment, seed)

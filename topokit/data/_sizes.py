@@ -9,10 +9,7 @@ import numpy as np
 
 from topokit.sim import Garment, Hanger, Hook, Mannequin
 
-MOST = 1.25  # times as many vertices, faces and vertices of a loop as a garment has at its own sizes
 Target = Hook | Hanger | Mannequin
-_TRIES = 50
-_THIN = 0.02  # metres: cloth tunnels through thinner rods
 
 
 def varied_garment(
@@ -20,8 +17,9 @@ def varied_garment(
 ) -> Garment:
     """Return the garment with each size but its spacing multiplied by a factor from 1 / (1 + vary) to 1 + vary.
 
-    Sizes are drawn again, at most 50 times, when the pattern refuses them, when the garment has too many vertices, and when it
-    hangs down more than `longest` metres. After that the garment stays as it is. The spacing follows the area of the cloth.
+    Sizes are drawn again, at most 50 times, when the pattern refuses them, when the garment has over 1.25 times as many
+    vertices, and when it hangs down more than `longest` metres. After that the garment stays as it is. The spacing follows the
+    area of the cloth.
     """
     spacing = garment.parameters["spacing"]
     extent = np.array(_extent(garment))
@@ -33,16 +31,16 @@ def varied_garment(
             other = make(**sizes, spacing=float(spacing * np.sqrt(len(first.vertices) / len(garment.vertices))))
         except ValueError:
             continue
-        if other.length <= longest and (_extent(other) <= MOST * extent).all():
+        if other.length <= longest and (_extent(other) <= 1.25 * extent).all():
             return other
     return garment
 
 
 def varied_target(target: Target, vary: float, rng: np.random.Generator) -> Target:
-    """Return the target with its sizes multiplied likewise; no rod gets so thin that cloth tunnels through it."""
+    """Return the target with its sizes multiplied likewise; no rod gets thinner than 2 cm: cloth tunnels through it."""
     own = {name: size for name, size in dataclasses.asdict(target).items() if name not in ("distance", "place", "yaw")}
     for sizes in _varied(own, vary, rng):
-        thick = {name: max(size, min(own[name], _THIN)) for name, size in sizes.items() if "radius" in name}
+        thick = {name: max(size, min(own[name], 0.02)) for name, size in sizes.items() if "radius" in name}
         try:
             return dataclasses.replace(target, **sizes | thick)
         except ValueError:
@@ -51,7 +49,7 @@ def varied_target(target: Target, vary: float, rng: np.random.Generator) -> Targ
 
 
 def _varied(sizes: Mapping[str, float], vary: float, rng: np.random.Generator) -> Iterator[dict[str, float]]:
-    for _ in range(_TRIES):
+    for _ in range(50):
         factors = np.exp(np.log1p(vary) * rng.uniform(-1, 1, len(sizes))).tolist()
         yield {name: float(size * factor) for (name, size), factor in zip(sizes.items(), factors, strict=True)}
 

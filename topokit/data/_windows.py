@@ -6,7 +6,6 @@ Source: Antonova et al. 2021, section 5 (h = 16, k = 60). Taught in chapter 11.
 from __future__ import annotations
 
 import copy
-from collections import OrderedDict
 from collections.abc import Callable, Iterable, Mapping, Sequence
 from dataclasses import dataclass, field
 from pathlib import Path
@@ -26,7 +25,6 @@ from ._labels import cloud_of
 
 Array = NDArray[np.float32]
 Ticks = NDArray[np.signedinteger[Any]]
-_TICK = np.float32(1 / TICKS)  # metres
 
 
 @dataclass(frozen=True, eq=False)
@@ -66,35 +64,7 @@ class _Episode:
     actions: Ticks
     held: NDArray[np.bool_]  # (T,)
     tracked: _Tracked
-    places: dict[int, NDArray[np.int64]] = field(
-        default_factory=dict
-    )  # `_places` of windows that were asked for, by frame
-
-    @property
-    def nbytes(self) -> int:
-        arrays = [*vars(self).values(), *vars(self.tracked).values()]
-        return sum(array.nbytes for array in arrays if isinstance(array, np.ndarray))
-
-
-class _Memory:
-    """A cache of decoded episodes, the last used at the end: of limited bytes, but at least one; spawned processes get none."""
-
-    def __init__(self, most: float) -> None:
-        self.most = most
-        self.nbytes = 0
-        self.episodes: OrderedDict[int, _Episode] = OrderedDict()
-
-    def __reduce__(self) -> tuple[type[_Memory], tuple[float]]:
-        return _Memory, (self.most,)
-
-    def get(self, number: int, decode_episode: Callable[[int], _Episode]) -> _Episode:
-        if number not in self.episodes:
-            self.episodes[number] = decode_episode(number)
-            self.nbytes += self.episodes[number].nbytes
-        self.episodes.move_to_end(number)
-        while self.nbytes > self.most and len(self.episodes) > 1:
-            self.nbytes -= self.episodes.popitem(last=False)[1].nbytes
-        return self.episodes[number]
+    places: dict[int, NDArray[np.int64]] = field(default_factory=dict)  # by frame, of windows that were asked for
 
 
 class WindowDataset(torch.utils.data.Dataset[dict[str, torch.Tensor]]):
@@ -141,8 +111,6 @@ class WindowDataset(torch.utils.data.Dataset[dict[str, torch.Tensor]]):
         Number S of slots.
     stride : int
         Frames from one window of an episode to the next.
-    memory : float
-        Bytes of decoded episodes that a process keeps; the least recently used episode is dropped first.
     observe : callable, optional
         Function that replaces the clouds of an episode: from its number and its clouds, (T, P, 3) float64, to clouds
         (T, P', 3), in metres. All states, past and future, are then tracked by seqPH on the new clouds, from the first
@@ -151,7 +119,7 @@ class WindowDataset(torch.utils.data.Dataset[dict[str, torch.Tensor]]):
     Raises
     ------
     ValueError
-        When a number is not a whole one above 0, the labels are missing, or the index alone would take more than `memory`.
+        When a number is not a whole one above 0, or the labels are missing.
     FileNotFoundError
         When there is no such dataset.
     """
@@ -167,7 +135,6 @@ class WindowDataset(torch.utils.data.Dataset[dict[str, torch.Tensor]]):
         n_points: int = 128,
         slots: int = 4,
         stride: int = 1,
-        memory: float = 4e9,
         observe: Callable[[int, NDArray[np.float64]], NDArray[np.float64]] | None = None,
     ) -> None:
         sizes = {"history": history, "horizon": horizon, "n_points": n_points, "slots": slots, "stride": stride}
@@ -179,7 +146,7 @@ class WindowDataset(torch.utils.data.Dataset[dict[str, torch.Tensor]]):
         self.horizon = horizon
         self.n_points = n_points
         self.slots = slots
-        self._memory = _Memory(memory)
+        self._decoded: dict[int, _Episode] = {}
 
         # The episodes, all of which must have labels.
         labelled = self.dataset.labelled(labels)
@@ -189,7 +156,7 @@ class WindowDataset(torch.utils.data.Dataset[dict[str, torch.Tensor]]):
         missing = np.setdiff1d(self.episodes, labelled)
         if len(missing):
             lacking = f"{len(missing)} episodes have no labels {labels!r}, the first is {missing[0]}"
-            raise ValueError(f"{lacking}: topokit label makes them")
+            raise ValueError(f"{lacking}: topokit.data.label_dataset makes them")
 
         # The windows: a frame t of an episode that has enough frames before and after it.
         lengths = [self.dataset.record(i).frames for i in self.episodes]
@@ -197,8 +164,6 @@ class WindowDataset(torch.utils.data.Dataset[dict[str, torch.Tensor]]):
         counts = [len(span) for span in spans]
         if not any(counts):
             raise ValueError(f"no episode has the {history + horizon} frames of a window (of {len(lengths)} episodes)")
-        if 16 * sum(counts) > memory:
-            raise ValueError(f"{sum(counts)} windows: their index alone takes {16 * sum(counts)} bytes; raise `memory`")
         frames = np.concatenate([np.arange(span.start, span.stop, span.step) for span in spans])
         self.index = np.column_stack([np.repeat(self.episodes, counts), frames])
 
@@ -239,7 +204,9 @@ class WindowDataset(torch.utils.data.Dataset[dict[str, torch.Tensor]]):
 
     def _window(self, number: int, frame: int) -> dict[str, NDArray[Any]]:
         """Return what an episode has for a window; states of all its frames, where `place` is negative those of another loop."""
-        episode = self._memory.get(number, self._decode)
+        if number not in self._decoded:
+            self._decoded[number] = self._decode(number)
+        episode = self._decoded[number]
         past = slice(frame - self.history + 1, frame + 1)
         future = slice(frame + 1, frame + self.horizon + 1)
         frames = np.arange(past.start, future.stop)
@@ -274,17 +241,20 @@ class WindowDataset(torch.utils.data.Dataset[dict[str, torch.Tensor]]):
         clouds = as_metres(self._tracked_clouds(episode, number))
         return clouds.astype(np.float64), episode.centre_line.astype(np.float64)
 
+    def __getstate__(self) -> dict[str, Any]:
+        """Return what a spawned process gets: all but the decoded episodes."""
+        return {**vars(self), "_decoded": {}}
+
     def load(self) -> WindowDataset:
-        """Decode the episodes now, as many as `memory` lets; processes forked later share them."""
+        """Decode all episodes now; processes forked later share them."""
         for number in self.episodes.tolist():
-            if self._memory.nbytes >= self._memory.most:
-                break
-            self._memory.get(number, self._decode)
+            self._decoded[number] = self._decode(number)
         return self
 
     def select(self, rows: ArrayLike) -> WindowDataset:
         """Return the windows of these rows of `index` alone, in their order; decoded episodes are shared."""
         chosen = copy.copy(self)
+        chosen._decoded = self._decoded
         chosen.index = self.index[np.asarray(rows, dtype=np.int64)]
         chosen.episodes = np.unique(chosen.index[:, 0])
         return chosen
@@ -341,4 +311,4 @@ class WindowDataset(torch.utils.data.Dataset[dict[str, torch.Tensor]]):
 
 
 def _metres(ticks: Ticks) -> Array:
-    return ticks.astype(np.float32) * _TICK
+    return ticks.astype(np.float32) * np.float32(1 / TICKS)

@@ -19,7 +19,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from topokit._processes import in_fresh_processes
-from topokit.io import FEWEST_FRAMES, Episode, wardrobe_names
+from topokit.io import HISTORY, HORIZON, Episode, wardrobe_names
 from topokit.sampling import farthest_point_sample
 
 from ._camera import Camera
@@ -107,7 +107,7 @@ def simulate(
     garment = garment.turned(path.table["yaw"][0])
     if path.drawn:
         notes["path"] = dict(path.drawn)
-    frames = config.frames or max(FEWEST_FRAMES, math.ceil(path.end / config.frame_time))
+    frames = config.frames or max(HISTORY + HORIZON, math.ceil(path.end / config.frame_time))
     config = dataclasses.replace(config, frames=frames)
     # Simulate the run, and make the recording an episode.
     goals = path.at(np.arange(frames * config.steps_per_frame) * config.dt)
