@@ -9,7 +9,6 @@ Source: the cross-entropy method, as in `topokit.control.Planner`.
 
 from __future__ import annotations
 
-import dataclasses
 from typing import Any
 
 import gymnasium
@@ -76,8 +75,7 @@ class Thrower(Planner):
     def __init__(
         self, forecast: Any = None, n_loops: int = 1, *, fence: float, frame_time: float = 0.036, **options: Any
     ) -> None:
-        super().__init__(forecast, n_loops, **options)
-        self.options = dataclasses.replace(self.options, plans=64, rounds=3, best=8)
+        super().__init__(forecast, n_loops, plans=64, rounds=3, best=8, **options)
         self._fence = fence
         self._time = frame_time
 

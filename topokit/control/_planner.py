@@ -23,7 +23,7 @@ from topokit._geometry import angle, turned
 from topokit.linking import linking_numbers
 
 from ._arm import Arm, Array
-from ._servo import USUAL_STEP, Servo, ServoOptions
+from ._servo import Servo, ServoOptions
 
 _KNOTS = np.array(
     [0, 8, 18, 30, 44, 60]
@@ -33,8 +33,12 @@ _GUIDE_FRAMES = np.array([4, 9, 14, 19, 24, 29, 39, 49, 59])  # frames of a path
 
 @dataclass(frozen=True)
 class PlannerOptions(ServoOptions):
-    """Thresholds of the planner, besides those of the servo, for the same garments and targets."""
+    """Sizes and thresholds of the planner, besides those of the servo, for the same garments and targets."""
 
+    #: Speed of the rim as a share of the largest step. Fast cloth swings and lags behind. Below 1 the servo hangs a loop that
+    #: leaves no room for that.
+    pace: float = 0.6
+    seed: int = 0  #: seed of the draws
     plans: int = 24  #: paths that are compared at a time
     rounds: int = 2  #: draws about the best
     best: int = 4  #: paths that are kept after each round
@@ -77,43 +81,23 @@ class Planner(Servo):
     forecast : optional
         A `topokit.models.MotionPredictor`, or an object of one's own with the methods of `Carried`, the default.
     n_loops : int
-    radius : float
-    max_step : float
-    cloud_delay : int
-        The parameters of `Servo`.
-    pace : float
-        Speed of the rim as a share of the largest step. Fast cloth swings and lags behind. Below 1 the servo hangs a loop that
-        leaves no room for that.
-    seed : int
-        Seed of the draws.
-    options : PlannerOptions
-        The number of paths, and the thresholds.
+        As in `Servo`.
+    **options
+        Fields of `PlannerOptions`: those of `ServoOptions`, `pace`, `seed`, the number of paths, and thresholds.
     """
 
+    Options = PlannerOptions
     options: PlannerOptions
 
-    def __init__(
-        self,
-        forecast: Any = None,
-        n_loops: int = 1,
-        *,
-        radius: float = 0.02,
-        max_step: float = USUAL_STEP,
-        cloud_delay: int = 0,
-        pace: float = 0.6,
-        seed: int = 0,
-        options: PlannerOptions = PlannerOptions(),
-    ) -> None:
-        super().__init__(n_loops, radius=radius, max_step=max_step, cloud_delay=cloud_delay, options=options)
+    def __init__(self, forecast: Any = None, n_loops: int = 1, **options: Any) -> None:
+        super().__init__(n_loops, **options)
         self._forecast = forecast or Carried()
-        self._pace = pace
-        self._seed = seed
 
     def reset(self, observation: Mapping[str, Any]) -> None:
         """Forget everything, and begin with a first observation."""
         super().reset(observation)
         self._forecast.reset()
-        self._random = np.random.default_rng(self._seed)
+        self._random = np.random.default_rng(self.options.seed)
         # The path that is followed, the number of its frames that are done, and its curve.
         self._path = np.zeros((0, 2, 3))
         self._followed = 0
@@ -162,7 +146,7 @@ class Planner(Servo):
         # A small loop leaves no room for cloth that swings. The servo, which is slow, hangs it.
         if self._uses_servo is None:
             smallest = min(loop.opening.size[0] for loop in self._chosen)
-            self._uses_servo = bool(self._pace < 1 and smallest < self._needed_size(arm))
+            self._uses_servo = bool(self.options.pace < 1 and smallest < self._needed_size(arm))
         if self._uses_servo:
             return super()._next_action(arm, grippers)
         rim = self._rim(arm, grippers)
@@ -235,7 +219,7 @@ class Planner(Servo):
         stops = [self._seat(arm)] if linked else self._stops(arm, rim)
         legs = np.array([rim, *stops])
         length = np.append(0, np.linalg.norm(np.diff(legs, axis=0), axis=1).cumsum())
-        gone = self._pace * self.max_step * _KNOTS[1:]
+        gone = self.options.pace * self.max_step * _KNOTS[1:]
         places = np.stack([np.interp(gone, length, axis) for axis in legs.T], axis=1)
         facing = angle(self._loop_direction(), arm.out)
         most = self.options.turn * _KNOTS[1:]
@@ -260,7 +244,7 @@ class Planner(Servo):
         goals = turned(self._goals - pivot, path[..., 3, None]) + pivot + path[..., None, :3]
         last = np.broadcast_to(self._goals, goals[:, 0].shape)
         step = np.broadcast_to(self._speed, goals[:, 0].shape)
-        fast = self._pace * self.max_step
+        fast = self.options.pace * self.max_step
         change = self.options.step_change * fast
         for k in range(goals.shape[1]):
             wanted = np.clip(goals[:, k] - last, -fast, fast)

@@ -14,7 +14,7 @@ from __future__ import annotations
 from collections import deque
 from collections.abc import Mapping
 from dataclasses import dataclass
-from typing import Any, NamedTuple
+from typing import Any, ClassVar, NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
@@ -29,8 +29,6 @@ from topokit.seqph import SeqPH
 
 from ._arm import Arm, Array
 
-USUAL_STEP = 0.0432  # metres in a frame: 1.2 m/s in 36 ms
-
 # The stops of the rail: metres before the tip (-1: the stop is above the seat), and the speed as a share of the largest step.
 _RAIL = {"far": (0.35, 0.5), "near": (0.13, 0.3), "over": (-1, 0.2)}
 _RAIL |= {"down": (-1, 0.25), "lift": (-1, 0.2), "back": (0.13, 0.3)}
@@ -38,8 +36,12 @@ _RAIL |= {"down": (-1, 0.25), "lift": (-1, 0.2), "back": (0.13, 0.3)}
 
 @dataclass(frozen=True)
 class ServoOptions:
-    """Thresholds of the servo. They suit the garments of the wardrobe, at 36 ms a frame, on hooks and hangers."""
+    """Sizes and thresholds of the servo. They suit the garments of the wardrobe, at 36 ms a frame, on hooks and hangers."""
 
+    radius: float = 0.02  #: radius of the target's rods, metres
+    max_step: float = 0.0432  #: metres that a gripper's goal moves along an axis for an action of 1: 1.2 m/s in 36 ms
+    #: Frames by which clouds are late. A late cloud is placed by where the grippers were when it was taken.
+    cloud_delay: int = 0
     first_looks: int = 6  #: frames in which loops are tracked before anything moves
     sure: int = 5  #: frames in a row in which the loops must be around the target before the grippers let go
     #: Frames at most until a stop is reached, and until a loop is seen; slower grippers get more frames for a stop.
@@ -107,31 +109,19 @@ class Servo:
     ----------
     n_loops : int
         How many loops are to hang at once: those that are easiest to reach.
-    radius : float
-        Radius of the target's rods, metres.
-    max_step : float
-        Metres that a gripper's goal moves along an axis for an action of 1.
-    cloud_delay : int
-        Frames by which clouds are late. A late cloud is placed by where the grippers were when it was taken.
-    options : ServoOptions
-        The thresholds.
+    **options
+        Fields of `ServoOptions`: `radius` of the target's rods, `max_step` and `cloud_delay`, and thresholds.
     """
 
-    def __init__(
-        self,
-        n_loops: int = 1,
-        *,
-        radius: float = 0.02,
-        max_step: float = USUAL_STEP,
-        cloud_delay: int = 0,
-        options: ServoOptions = ServoOptions(),
-    ) -> None:
+    Options: ClassVar[type[ServoOptions]] = ServoOptions
+    options: ServoOptions
+
+    def __init__(self, n_loops: int = 1, **options: Any) -> None:
+        self.options = self.Options(**options)
         self.n_loops = n_loops
-        self.radius = radius
-        self.max_step = max_step
-        self.cloud_delay = cloud_delay
-        self.options = options
-        self._patience = options.patience * max(1.0, USUAL_STEP / max_step)
+        self.radius = self.options.radius
+        self.max_step = self.options.max_step
+        self._patience = self.options.patience * max(1.0, ServoOptions.max_step / self.max_step)
 
     def reset(self, observation: Mapping[str, Any]) -> None:
         """Forget everything, and begin with a first observation."""
@@ -150,7 +140,7 @@ class Servo:
         # The last cloud, its age in frames, and the frames of the past.
         self._cloud = np.zeros((0, 3))
         self._age = 0
-        self._past = deque[_PastFrame](maxlen=31 + self.cloud_delay)
+        self._past = deque[_PastFrame](maxlen=31 + self.options.cloud_delay)
 
     def act(self, observation: Mapping[str, Any]) -> NDArray[np.float32]:
         """Return the next action (7,): a share of `max_step` along each axis for both grippers; above 0.5 the last lets go.
@@ -196,7 +186,7 @@ class Servo:
         self._middle = grippers.mean(axis=0)
         self._yaw = angle(np.eye(3)[0], grippers[1] - grippers[0])
         self._past.append(_PastFrame(grippers, line, self._goals, self._middle, self._yaw))
-        self._age = min(self.cloud_delay if new else self._age + 1, len(self._past) - 1)
+        self._age = min(self.options.cloud_delay if new else self._age + 1, len(self._past) - 1)
         self._cloud = points
         if new:
             self._observe_cloud(points)
