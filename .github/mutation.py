@@ -5,8 +5,8 @@
     python .github/mutation.py rips --fresh            # persistence, from the start
     (cd runs/mutation/rips && mutmut browse)         # look at those that live
 
-mutmut leaves decorated functions alone, and compiled code cannot be broken while it runs. So persistence is broken in a copy in
-which the kernels are plain Python functions: the same sources without `@njit`.
+mutmut leaves decorated functions alone, and compiled code cannot be broken while it runs. So persistence is broken in its plain
+form, `rips.pairing`, to which the tests compare the engine.
 """
 
 from __future__ import annotations
@@ -14,7 +14,6 @@ from __future__ import annotations
 import argparse
 import json
 import os
-import re
 import shutil
 import subprocess
 import sys
@@ -37,10 +36,7 @@ PARTS = {
         ("seqph", "evidence", "sampling", "linking", "mixture", "data_windows"),
     ),
     "rips": (
-        tuple(
-            f"rips/{name}.py"
-            for name in ("_cloud", "_cycles", "_diagram", "_pairs", "_persistence", "_plain", "kernel", "reduction")
-        ),
+        tuple(f"rips/{name}.py" for name in ("_cloud", "_cycles", "_diagram", "_persistence", "pairing", "reduction")),
         ("rips", "rips_properties", "reduction", "cycles"),
     ),
 }
@@ -68,18 +64,15 @@ def main() -> None:
         shutil.rmtree(work, ignore_errors=True)
     prepare(work, *PARTS[options.part])
     command = [sys.executable, "-m", "mutmut", "run", "--max-children", str(options.processes), *options.names]
-    environment = {**os.environ, "PYTHONHASHSEED": "0", "NUMBA_DISABLE_JIT": "1" if options.part == "rips" else "0"}
+    environment = {**os.environ, "PYTHONHASHSEED": "0", "NUMBA_DISABLE_JIT": "0"}
     subprocess.run(command, cwd=work, env=environment, check=False)
     report(work / "mutants")
 
 
 def prepare(work: Path, mutated: tuple[str, ...], tests: tuple[str, ...]) -> None:
-    """Copy the repository; where the kernels are mutated, as plain functions."""
+    """Copy the repository and name what is mutated."""
     for name in ("topokit", "tests", "data_small"):
         shutil.copytree(ROOT / name, work / name, dirs_exist_ok=True, ignore=shutil.ignore_patterns("__pycache__"))
-    if "rips/kernel.py" in mutated:
-        for path in (work / "topokit" / "rips").glob("*.py"):
-            path.write_text(re.sub(r"^@njit\(.*\n", "", path.read_text(), flags=re.MULTILINE))
     only = json.dumps([f"topokit/{name}" for name in mutated])
     files = json.dumps([f"tests/test_{name}.py" for name in tests])
     project = (ROOT / "pyproject.toml").read_text() + CONFIGURATION.format(only=only, tests=files)

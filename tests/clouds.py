@@ -6,17 +6,16 @@ import gudhi
 import numpy as np
 import pytest
 
-from topokit.rips import _pairs
+from topokit.rips import _persistence
 
 try:
     from numba import config
 except ImportError:  # the core works without it
     config = None
 
-# The tests of persistence use the kernel from the first cloud on; `fuzz_rips` holds it to plain Python.
+# The tests of persistence use the engine from the first cloud on; `fuzz_rips` compares it with plain Python.
 INTERPRETED = config is None or bool(config.DISABLE_JIT)
-if config is not None:
-    _pairs._load(_pairs.CLOUDS)
+_persistence._Work.seconds = np.inf
 
 FAMILIES = (
     "gaussian",
@@ -32,8 +31,6 @@ FAMILIES = (
 )
 
 compiled = pytest.mark.skipif(INTERPRETED, reason="takes long where numba does not compile")
-of_the_kernel = pytest.mark.skipif(config is None, reason="the kernel needs numba")
-
 
 DIAGRAM = ("birth", "death", "birth_edge", "killer_edge", "killer_triangles")
 

@@ -9,7 +9,7 @@ import numpy as np
 import pytest
 
 from topokit import rips_persistence
-from topokit.rips import _cycles, tighten
+from topokit.rips import _cycles
 
 from clouds import FAMILIES, random_cloud
 from conftest import polygon
@@ -232,7 +232,7 @@ def test_two_rings_of_a_pipe_die_together():
     assert len(bridge) == 2
     assert bridge[0] == bridge[1] < death
     assert set(walk[[0, -1]].tolist()) == set(diagram.birth_edge[1].tolist())
-    tight = tighten(diagram, walk, radius=diagram.birth[1] * 1.01)  # the bridge is longer
+    tight = diagram.tighten(walk, radius=diagram.birth[1] * 1.01)  # the bridge is longer
     assert ranks.bounds(ranks.chain(tight, walk), death - 1)
     assert length(cloud, tight) <= length(cloud, walk)
 
@@ -293,7 +293,7 @@ def test_tightened_walk_is_homologous_and_not_longer(family):
         cloud = random_cloud(rng, family, 11)
         ranks = Ranks(cloud)
         walk = rng.integers(0, len(cloud), size=rng.integers(1, 9))
-        tight = tighten(cloud, walk)
+        tight = rips_persistence(cloud).tighten(walk)
         if len(set(walk.tolist())) == 1:
             assert tight.tolist() == [walk[0]]
             continue
@@ -311,9 +311,9 @@ def test_tighten_at_a_radius():
     ring[5] *= 0.7
     diagram = rips_persistence(ring)
     own = diagram.cycle(0)
-    assert sorted(tighten(diagram, own).tolist()) == sorted(own.tolist())
+    assert sorted(diagram.tighten(own).tolist()) == sorted(own.tolist())
     radii = [0.2, 0.4, 0.6, float(diagram.death[0]) * 0.999]
-    walks = [tighten(diagram, own, radius=radius) for radius in radii]
+    walks = [diagram.tighten(own, radius=radius) for radius in radii]
     lengths = [length(ring, walk) for walk in walks]
     assert length(ring, own) > lengths[0]
     assert lengths == sorted(lengths, reverse=True)
@@ -322,35 +322,28 @@ def test_tighten_at_a_radius():
         sides = np.linalg.norm(ring[walk] - ring[np.roll(walk, -1)], axis=1)
         assert sides.max() <= 2 * radius
         assert not ranks.bounds(ranks.chain(walk), ranks[diagram.killer_edge[0]] - 1)
-    assert tighten(diagram, own, radius=2.0).tolist() == [own[0]]  # it is a boundary by then
-    assert tighten(diagram, own, radius=np.inf).tolist() == [own[0]]
+    assert diagram.tighten(own, radius=2.0).tolist() == [own[0]]  # it is a boundary by then
+    assert diagram.tighten(own, radius=np.inf).tolist() == [own[0]]
 
 
-def test_tighten_takes_points_a_diagram_or_a_matrix():
+def test_tighten_of_a_matrix_and_of_a_diagram_that_ends():
     cloud = np.random.default_rng(82).normal(size=(50, 2))
     matrix = np.sqrt(((cloud[:, None] - cloud[None]) ** 2).sum(axis=2))
     diagram = rips_persistence(cloud)
     walk = diagram.cycle(0)
-    for radius in (None, float(diagram.death[0]) * 0.99):
-        expected = tighten(diagram, walk, radius=radius).tolist()
-        assert tighten(cloud, walk, radius=radius).tolist() == expected
-        assert tighten(matrix, walk, radius=radius, metric="precomputed").tolist() == expected
-        cut = rips_persistence(cloud, max_radius=float(diagram.birth[0]))
-        assert tighten(cut, walk, radius=radius).tolist() == expected
+    radius = float(diagram.death[0]) * 0.99
+    for other in (rips_persistence(matrix, metric="precomputed"), rips_persistence(cloud, max_radius=radius)):
+        for chosen in (None, radius):
+            assert other.tighten(walk, radius=chosen).tolist() == diagram.tighten(walk, radius=chosen).tolist()
+    cut = rips_persistence(cloud, max_radius=float(diagram.birth[0]))
+    with pytest.raises(ValueError, match="max_radius"):
+        cut.tighten(walk, radius=radius)
 
 
 @pytest.mark.parametrize(
-    ("cycle", "options", "error", "names"),
-    [
-        ([0, 1, 4], {}, ValueError, "vertex 4"),
-        ([0, -1], {}, ValueError, "vertex -1"),
-        ([0.0, 1.0], {}, TypeError, "cycle"),
-        ([[0, 1]], {}, TypeError, "cycle"),
-        (np.empty(0, int), {}, ValueError, "cycle"),
-        ([0, 1, 2, 3], {"radius": -1}, ValueError, "radius"),
-        ([0, 1, 2, 3], {"metric": "l1"}, ValueError, "metric"),
-    ],
+    ("cycle", "error", "names"),
+    [([], ValueError, "empty"), ([0, 1, 4], ValueError, "vertex 4"), ([0.5, 1.0], TypeError, "vertex ids")],
 )
-def test_bad_walks_are_refused(cycle, options, error, names):
+def test_tighten_refuses_what_is_no_walk(cycle, error, names):
     with pytest.raises(error, match=names):
-        tighten([[0, 0], [2, 0], [2, 2], [0, 2]], cycle, **options)
+        rips_persistence([[0, 0], [2, 0], [2, 2], [0, 2]]).tighten(cycle)

@@ -1,4 +1,4 @@
-"""Rips persistence: known shapes, every scale of coordinates, ties, bounds of memory, Ctrl-C, threads.
+"""Rips persistence: known shapes, scales of coordinates, ties, parts of the engine, bounds of memory, Ctrl-C, threads.
 
 `test_rips_properties` holds the same functions to GUDHI and to the textbook on random clouds.
 """
@@ -6,33 +6,31 @@
 from __future__ import annotations
 
 import os
-import resource
 import signal
 import subprocess
 import sys
 import time
-from pathlib import Path
 
 import numpy as np
 import psutil
 import pytest
 
 from topokit import rips_persistence, rips_persistence_many
-from topokit.rips import _cloud, _pairs, tighten
+from topokit.rips import _cloud
 
-from clouds import FAMILIES, compiled, config, fewer, gudhi_pairs, of_the_kernel, random_cloud, same, sorted_pairs
+from clouds import FAMILIES, compiled, config, fewer, gudhi_pairs, random_cloud, same, sorted_pairs
 from conftest import polygon
 
 if config is not None:
     from numba import njit
 
-    from topokit.rips import kernel
+    from topokit.rips.engine import edges, lunes, tree
 
 SQUARE = np.array([[0.0, 0], [2, 0], [2, 2], [0, 2]])
 
 
 def distances(cloud: np.ndarray) -> np.ndarray:
-    """Summed axis by axis, as the kernel does."""
+    """Summed axis by axis, as the engine does."""
     return np.sqrt(sum((cloud[:, None, k] - cloud[None, :, k]) ** 2 for k in range(cloud.shape[1])))
 
 
@@ -96,18 +94,6 @@ def test_clusters_far_apart_and_late_loops():
     np.testing.assert_allclose(ours, gudhi_pairs(far), rtol=1e-9, atol=1e-9)
 
 
-@compiled
-def test_a_camera_that_sends_zeros_for_what_it_did_not_see():
-    """A point that is there 20,000 times: with all its copies' edges it would take 15 GB."""
-    ring = polygon(40)
-    once = rips_persistence(np.insert(ring, 20, 0.0, axis=0))
-    number = np.r_[:21, 20_020:20_040]
-    diagram = rips_persistence(np.insert(ring, 20, np.zeros((20_000, 2)), axis=0))
-    np.testing.assert_array_equal(diagram.death, once.death)
-    np.testing.assert_array_equal(diagram.birth_edge, number[once.birth_edge])
-    np.testing.assert_array_equal(diagram.killer_triangles, number[once.killer_triangles])
-
-
 # Where the filtration is cut
 
 
@@ -135,29 +121,12 @@ def test_ties_at_the_cut_are_inside():
 # Scales
 
 
-@compiled  # NumPy would warn of the quotients that overflow on purpose
-@pytest.mark.parametrize("size", [5e-324, 1e-310, 1.7e308])
-def test_distances_at_the_ends_of_floating_point(size):
-    equal = np.full((8, 8), size)
-    np.fill_diagonal(equal, 0)
-    assert len(rips_persistence(equal, metric="precomputed")) == 0
-    square = np.array([[0, 1, 2, 1], [1, 0, 1, 2], [2, 1, 0, 1], [1, 2, 1, 0]]) * (size if size < 1 else size / 2)
-    assert rips_persistence(square, metric="precomputed").killer_edge.tolist() == [[0, 2]]
-
-
-@pytest.mark.parametrize("size", [1e-320, 1e-310, 1e-200, 1e150, 5e307])
-def test_coordinates_at_the_ends_of_floating_point(size):
-    assert rips_persistence(SQUARE * size).killer_edge.tolist() == [[0, 2]]
-    assert rips_persistence(SQUARE * size - size).killer_edge.tolist() == [[0, 2]]
-
-
 @pytest.mark.parametrize("metric", ["euclidean", "precomputed"])
-@pytest.mark.parametrize("exponent", [-1070, -1022, -1000, -540, 510, 1000, 1019])
+@pytest.mark.parametrize("exponent", [-400, -50, 50, 400])
 def test_a_cloud_at_any_scale_is_the_same_cloud(metric, exponent):
-    """Also where births and deaths lose their digits, as tiny numbers do."""
     data = np.random.default_rng(3).integers(0, 16, (24, 3)).astype(float)
     if metric == "precomputed":
-        data = np.rint(4 * distances(data)) / (1 if exponent < 0 else 16)
+        data = np.rint(4 * distances(data))
     one, other = rips_persistence(data, metric=metric), rips_persistence(np.ldexp(data, exponent), metric=metric)
     assert len(one) > 2
     for name in ("birth", "death"):
@@ -166,26 +135,13 @@ def test_a_cloud_at_any_scale_is_the_same_cloud(metric, exponent):
     for i in range(len(one)):
         assert other.neighbours(i).tolist() == one.neighbours(i).tolist()
         assert other.cycle(i).tolist() == one.cycle(i).tolist()
-        assert tighten(other, other.cycle(i)).tolist() == tighten(one, one.cycle(i)).tolist()
+        assert other.tighten(other.cycle(i)).tolist() == one.tighten(one.cycle(i)).tolist()
 
 
-def test_half_a_length_that_is_a_number_is_an_answer():
-    wide = rips_persistence([[-1e308, 0], [1e308, 0], [0, 1e308], [0, -1e308]])
-    assert wide.death.tolist() == [1e308]
-    assert wide.killer_edge.tolist() == [[0, 1]]
-    assert len(wide.neighbours(0)) == 4
-    with pytest.raises(ValueError, match=r"1\.7e\+308"):
-        rips_persistence([[-1.7e308] * 3, [1.7e308] * 3, [0] * 3, [1] * 3])
-
-
-def test_what_differs_too_much_for_one_unit_is_refused():
-    with pytest.raises(ValueError, match=r"points\[1\] and points\[3\]"):
-        rips_persistence([[0, 1], [1e-200, 0], [1, 1], [0, 0]])
-    assert len(rips_persistence([[0, 1], [1, 1e-200], [1, 1], [0, 1e-170]])) == 1
-    matrix = (1.0 - np.eye(5)) * 1e300
-    matrix[1, 2] = matrix[2, 1] = 1e-100
-    with pytest.raises(ValueError, match=r"1e-100 and 1e\+300"):
-        rips_persistence(matrix, metric="precomputed")
+@pytest.mark.parametrize("size", [1e-160, 1e160])
+def test_a_unit_in_which_squares_are_no_numbers_is_refused(size):
+    with pytest.raises(ValueError, match="another unit"):
+        rips_persistence(SQUARE * size)
 
 
 @pytest.mark.parametrize("metric", ["euclidean", "precomputed"])
@@ -205,65 +161,35 @@ def test_a_diagram_does_not_change_with_the_array_it_was_made_of(metric):
         diagram.neighbours(len(diagram))
 
 
-# Parts of the kernel
+# Parts of the engine
 
 
 def called(function):
-    """A function of the kernel, most of which are compiled for each other alone, for calls from Python."""
+    """A function of the engine, most of which are compiled for each other alone, for calls from Python."""
     return njit(lambda *arguments: function(*arguments))
 
 
-class Counting(np.ndarray):
-    """An array that counts what is written into it."""
-
-    writes = 0
-
-    def __setitem__(self, place, value):
-        Counting.writes += np.size(value)
-        super().__setitem__(place, value)
+@compiled
+def test_edges_of_one_length_are_sorted_in_less_than_quadratic_time():
+    assert len(rips_persistence(1.0 - np.eye(1500), metric="precomputed")) == 0  # a million edges
 
 
-@of_the_kernel
-@pytest.mark.parametrize("spread", [0.0, 1e-14], ids=["equal", "nearly equal"])
-def test_sorting_edges_of_nearly_equal_length_takes_few_moves(spread, monkeypatch):
-    """All pairs of 32 points, of lengths around 1; the last labels come first."""
-
-    def plain(function):
-        return getattr(function, "py_func", function)
-
-    for name in ("heap_sort", "_key_precedes", "precedes", "edge_key", "ends_of"):
-        monkeypatch.setattr(kernel, name, plain(getattr(kernel, name)))
-    x, y = np.triu_indices(32, 1)
-    lengths = 1 + spread * np.linspace(1, -1, len(x))
-    m, label = len(x), np.arange(32)[::-1].copy()
-    buffer = plain(kernel.new_buffer)(m)._replace(keys=np.empty(m, np.int64).view(Counting))
-    buffer.found_keys[:] = [kernel.edge_key(a, b) for a, b in zip(x, y, strict=True)]
-    buffer.found_lengths[:] = lengths
-    monkeypatch.setattr(Counting, "writes", 0)
-    plain(kernel.sort_edges)(buffer, m, label)
-    assert Counting.writes <= m * (4 + np.log2(m))
-    expected = sorted((length, *sorted((label[i], label[j]))) for length, i, j in zip(lengths, x, y, strict=True))
-    assert [sorted(label[list(kernel.ends_of(key)[:2])]) for key in buffer.keys.tolist()] == [
-        e[1:] for e in map(list, expected)
-    ]
-
-
-@of_the_kernel
+@compiled
 def test_lengths_are_the_same_in_numpy_and_compiled():
     points = np.random.default_rng(3).normal(size=(20, 3)) * np.logspace(-3, 3, 3)
-    edge_length = called(kernel.edge_length)
+    edge_length = called(edges.edge_length)
     for i in range(20):
         squares = _cloud.squares(points[i], points)
         assert squares.tolist() == [edge_length(points, i, j) for j in range(20)]
         assert squares.tolist() == [edge_length(points, j, i) for j in range(20)]
 
 
-@of_the_kernel
+@compiled
 @pytest.mark.parametrize("d", [2, 3])
 def test_a_point_is_near_the_middle_only_if_it_is_near_all_of_the_lune(d):
     """Against points on the rim of the lune, where it is farthest from what is between its two balls."""
     rng, near = np.random.default_rng(d), 0
-    edge_length, is_near_middle = called(kernel.edge_length), called(kernel.is_near_middle)
+    edge_length, is_near_middle = called(edges.edge_length), called(lunes.is_near_middle)
     for _ in range(300):
         data = np.zeros((3, 3))
         data[:, :d] = rng.normal(size=(3, d))
@@ -290,20 +216,19 @@ def test_places_decide_as_the_distances_do(shape):
     if shape == "sheet":
         a, b = np.random.default_rng(11).random((2, 2300))
         cloud = np.column_stack([a, b, 0.05 * np.sin(5 * a)])[(a - 0.5) ** 2 + (b - 0.4) ** 2 > 0.04]
-    assert len(cloud) > 64 * kernel.FEW_WORDS or shape == "sheet"
     same(rips_persistence(cloud), rips_persistence(distances(cloud), metric="precomputed"))
 
 
 @compiled
 def test_windows_of_edges_are_bounded_and_leave_none_out():
     cloud = _cloud.Cloud.of(np.random.default_rng(12).random((3100, 2)))
-    tree = called(kernel.build_tree)(cloud.data)
-    edges_between = called(kernel.edges_between)
-    buffer, shortest, count, before, stop = kernel.new_buffer(1 << 16), 0.0, 0, -1.0, np.zeros(1, np.int64)
+    built = called(tree.build_tree)(cloud.data)
+    edges_between = called(edges.edges_between)
+    window, shortest, count, before = called(edges.new_edges)(1 << 16), 0.0, 0, -1.0
     while shortest < 4:
-        buffer, m, bound = edges_between(tree.points, tree, shortest, 5.0, buffer, 1 << 40, stop)
-        lengths = buffer.lengths[:m]
-        assert m <= len(buffer.found_keys) == kernel.WINDOW
+        window, m, bound = edges_between(built.points, built, shortest, 5.0, window)
+        lengths = window.lengths[:m]
+        assert m <= len(window.found_keys) == edges.WINDOW
         assert before <= lengths[0]
         assert (np.diff(lengths) >= 0).all()
         assert shortest <= lengths[0] <= lengths[-1] < bound
@@ -311,75 +236,25 @@ def test_windows_of_edges_are_bounded_and_leave_none_out():
     assert count == 3100 * 3099 // 2
 
 
-# Memory, Ctrl-C, compilation
+# Memory, Ctrl-C
 
 
 @compiled
-def test_more_memory_than_is_allowed(monkeypatch):
-    with pytest.raises(MemoryError, match=r"2200000 points need 4\.7 GB"):
-        rips_persistence(np.random.default_rng(0).random((2_200_000, 3)))
-    all_alike = 1.0 - np.eye(2000)
-    many_loops = np.random.default_rng(0).random((4500, 3))
-    for cloud, metric, spare, what in (
-        (all_alike, "precomputed", 1 << 26, "edges"),
-        (many_loops, "euclidean", 500_000, "loops"),
-    ):
-        monkeypatch.setattr(_cloud, "MEMORY", len(cloud) * ((len(cloud) + 63) // 64) * 8 + spare)
-        with pytest.raises(MemoryError, match=f"these {len(cloud)} points need .*{what}"):
-            rips_persistence(cloud, metric=metric)
-
-
-@compiled
-@pytest.mark.parametrize(
-    "shape", ["plane", "torus", "grid", "far apart", "repeated", "in eight places", "in one place"]
-)
-def test_large_clouds_are_paired_without_a_table_of_pairs(shape, monkeypatch):
-    rng = np.random.default_rng(0)
-    angles = 2 * np.pi * rng.random((2, 1200))
-    ring = 1 + 0.35 * np.cos(angles[1])
-    torus = np.column_stack([ring * np.cos(angles[0]), ring * np.sin(angles[0]), 0.35 * np.sin(angles[1])])
-    points = {
-        "plane": rng.random((1500, 2)),
-        "torus": torus,  # its lunes grow so large that rows of bits are used
-        "grid": np.argwhere(np.ones((8, 8, 8))),
-        "far apart": np.r_[torus[:500], torus[500:] + [1e6, 0, 0]],
-        "repeated": torus[rng.integers(0, 400, 1200)],
-        "in eight places": rng.integers(0, 2, (600, 3)),
-        "in one place": np.ones((600, 3)),
-    }[shape]
-    for max_radius in (np.inf, 0.2):
-        dense = rips_persistence(points, max_radius=max_radius)
-        with monkeypatch.context() as patch:
-            patch.setattr(_pairs, "LARGE", 4)
-            large = rips_persistence(points, max_radius=max_radius)
-        same(dense, large)
-
-
-@compiled
-def test_a_refusal_gives_memory_back(monkeypatch):
-    statm = Path("/proc/self/statm")
-    if not statm.exists():
-        pytest.skip("only Linux tells what a process holds")
-    cloud, held = np.random.default_rng(0).random((8192, 3)), []
-    monkeypatch.setattr(_cloud, "MEMORY", 8192 * 1024 + 1_000_000)
-    for _ in range(12):
-        with pytest.raises(MemoryError, match="loops"):
-            rips_persistence(cloud)
-        held.append(int(statm.read_text().split()[1]) * resource.getpagesize())
-    assert held[-1] - held[2] < 4 * 8192 * 1024  # nine refusals
+def test_more_memory_than_is_allowed():
+    with pytest.raises(MemoryError, match=r"200000 points take 5\.0 GB.*farthest_point_sample"):
+        rips_persistence(np.random.default_rng(0).random((200_000, 3)))
+    with pytest.raises(MemoryError, match="24000 points"):
+        rips_persistence(np.zeros((24_000, 4)))
 
 
 INTERRUPTED = """
 import signal, sys, time
-if "numba" in sys.argv[1]:
-    sys.modules["numba"] = None
 import numpy as np
 from topokit import rips_persistence, rips_persistence_many
 
 signal.signal(signal.SIGINT, signal.default_int_handler)
-small, middle, large = map(np.load, sys.argv[2:])
-if "diagram" in sys.argv[1]:
-    diagram = rips_persistence(middle)
+middle, large = map(np.load, sys.argv[2:])
+diagram = rips_persistence(middle)  # the engine is loaded
 while input() == "compute":
     try:
         print(flush=True)
@@ -396,26 +271,21 @@ raise KeyboardInterrupt
 @pytest.mark.parametrize(
     "computation",
     [
-        "rips_persistence(small)",
         "rips_persistence(large)",
-        "rips_persistence_many([small] * 100)",
         "rips_persistence_many([large] * 2, 1)",
         "[diagram.cycle(i) for i in range(len(diagram))]",
-        "diagram.to_gudhi()",
-        "rips_persistence(middle)  # without numba",
-        "rips_persistence(large)  # not compiled",
     ],
 )
-def test_ctrl_c_is_heard_at_any_moment(computation, tmp_path):
+def test_ctrl_c_ends_long_work(computation, tmp_path):
     """A fresh process goes on with KeyboardInterrupt within a second of the processor, and in the end does not crash."""
-    clouds = [str(tmp_path / f"{n}.npy") for n in (700, 3000, 12_000)]
-    for path, n in zip(clouds, (700, 3000, 12_000), strict=True):
+    clouds = [str(tmp_path / f"{n}.npy") for n in (3000, 12_000)]
+    for path, n in zip(clouds, (3000, 12_000), strict=True):
         np.save(path, torus(n))
     command = [sys.executable, "-c", INTERRUPTED, computation, *clouds]
     process = subprocess.Popen(
         command, stdin=subprocess.PIPE, stdout=subprocess.PIPE, stderr=subprocess.PIPE, text=True
     )
-    for moment in np.random.default_rng().random(4):
+    for moment in np.random.default_rng().random(2):
         process.stdin.write("compute\n")
         process.stdin.flush()
         assert process.stdout.readline(), process.communicate()
@@ -426,26 +296,7 @@ def test_ctrl_c_is_heard_at_any_moment(computation, tmp_path):
         assert heard, process.communicate()
         assert float(heard) - times.user - times.system < 1
     assert "KeyboardInterrupt" in process.communicate("end\n")[1]
-    # Python exits with 1 instead where at that moment another thread runs `exec`, as numba does while it is loaded.
-    assert process.returncode in (-signal.SIGINT, 1)
-
-
-@of_the_kernel
-@pytest.mark.parametrize(
-    ("seconds", "kept", "says"), [(0.3, False, "compiling"), (0.3, True, "loading"), (0.0, False, "")]
-)
-def test_long_compilation_is_announced(monkeypatch, capsys, seconds, kept, says):
-    monkeypatch.setattr(_pairs, "_PATIENCE", 0.1)
-    monkeypatch.setattr(_pairs, "_ready", set())
-    monkeypatch.setattr(_pairs, "_pairs_of_kernel", lambda *_: time.sleep(seconds))
-    monkeypatch.setattr(_pairs._numba, "is_compiled", lambda _: kept)
-    _pairs._load(_pairs.CLOUDS)
-    time.sleep(0.2)
-    announced = capsys.readouterr().err
-    assert says in announced
-    assert bool(announced) == bool(seconds)
-    monkeypatch.setattr(_pairs, "_pairs_of_kernel", None)
-    _pairs._load(_pairs.CLOUDS)  # once is enough
+    assert process.returncode == -signal.SIGINT
 
 
 # Many clouds
@@ -486,7 +337,6 @@ def test_clouds_in_one_call_are_what_they_are_alone(family):
         ([[0, 0], [np.inf, 1]], ValueError, "row 1"),
         ([1.0, 2.0, 3.0], ValueError, r"\(3,\)"),
         (np.zeros((3, 4, 2)), ValueError, "topokit.track"),
-        ([[0, 0], [1]], ValueError, "points"),
         ([["a", "b"]], TypeError, "points"),
         ([[1 + 1j, 0]], TypeError, "complex"),
         (np.empty((4, 0)), ValueError, "points"),

@@ -23,7 +23,7 @@ from scipy.spatial import cKDTree
 
 from topokit._geometry import angle, turned
 from topokit._opening import Opening, lies_flat
-from topokit.rips import tighten
+from topokit.rips import rips_persistence
 from topokit.sampling import as_tree
 from topokit.seqph import SeqPH
 
@@ -212,6 +212,7 @@ class Servo:
         options = self.options
         unseen = list(self._known_loops)
         points = np.unique(points, axis=0)
+        diagram = rips_persistence(points)
         for loop in self._tracker.update(points).loops:
             # A cycle that passes a point twice is two rings and a bridge between them, which is no opening.
             if len(np.unique(loop.cycle)) < len(loop.cycle):
@@ -221,7 +222,8 @@ class Servo:
             gaps = [np.linalg.norm(known.curve.mean(axis=0) - cycle.mean(axis=0)) for known in self._chosen]
             if min(gaps, default=0.0) > 2 * options.same_loop:
                 continue
-            curve = self._to_gripper_frame(points[tighten(points, loop.cycle, radius=loop.birth + loop.lifetime / 4)])
+            tight = diagram.tighten(loop.cycle, radius=loop.birth + loop.lifetime / 4)
+            curve = self._to_gripper_frame(points[tight])
             opening = Opening.of(curve)
             if opening is None:
                 continue

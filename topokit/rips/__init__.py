@@ -9,7 +9,7 @@ from typing import TYPE_CHECKING
 from topokit._lazy import attach
 
 if TYPE_CHECKING:
-    from ._diagram import Diagram, tighten
+    from ._diagram import Diagram
     from ._persistence import rips_persistence, rips_persistence_many
 
 __getattr__, __dir__, __all__ = attach(__name__, __file__)

@@ -1,7 +1,7 @@
 """Closed walks around loops: one that is short at birth and dies when its loop does, and shorter ones in the same class.
 
-Idea: a cycle, written in creators as in `kernel`, is a short set. The relations that kill loops, reduced, turn that set into
-the cycle's *class*: nothing is left of it exactly when the cycle is a boundary. The kernel needs the relations of one edge at a
+Idea: a cycle, written in creators as in `pairing`, is a short set. The relations that kill loops, reduced, turn that set into
+the cycle's *class*: nothing is left of it exactly when the cycle is a boundary. The pairing needs the relations of one edge at a
 time; here edges are asked for again and again, so what is worked out is kept, and it is worked out only when asked for.
 
 The shortest way around a birth edge {x, y} is the shortest path from x to y before it arrives. It may go around an older
@@ -42,7 +42,7 @@ class Homology:
     def __init__(self, cloud: Cloud, created: Ids, killed: Ids) -> None:
         self._cloud = cloud
         self._simplices = (created, killed)
-        self._places: list[list[float]] = cloud.data.tolist() if cloud.axes else []
+        self._places: list[list[float]] = [] if cloud.is_matrix else cloud.data.tolist()
         rows_kept = max(_ROWS // (len(cloud) + 1), 1)
         self._keys_from = lru_cache(rows_kept)(self._new_keys_from)
         self._complex_at = lru_cache(1)(self._new_complex_at)
@@ -65,7 +65,7 @@ class Homology:
     def side(self, a: int, b: int) -> float:
         """Return the length of an edge."""
         key = self._key(a, b)
-        return math.sqrt(key) if self._cloud.axes else key
+        return key if self._cloud.is_matrix else math.sqrt(key)
 
     def length(self, walk: Sequence[int]) -> float:
         """Return the length of a closed walk."""
@@ -78,7 +78,7 @@ class Homology:
 
     def _key(self, i: int, j: int) -> float:
         """Return the key of an edge as `Cloud.keys` does, to the last bit."""
-        if not self._cloud.axes:
+        if self._cloud.is_matrix:
             return float(self._cloud.data[i, j])
         x, y, z = map(operator.sub, self._places[i], self._places[j])
         return x * x + y * y + z * z
@@ -92,16 +92,15 @@ class Homology:
     def _new_complex_at(self, time: Time) -> csr_array:
         """Return the edges before a time, as the (n, n) sparse matrix of their lengths."""
         n = len(self._cloud)
-        if self._cloud.axes:
-            reach = min(math.sqrt(time[0]) * (1 + 1e-12), 4.0)  # coordinates are at most 1
-            a, b = self._tree.query_pairs(reach, output_type="ndarray").T
-        else:
+        if self._cloud.is_matrix:
             a, b = np.nonzero(np.triu(self._cloud.data <= time[0], 1))
+        else:
+            a, b = self._tree.query_pairs(math.sqrt(time[0]) * (1 + 1e-12), output_type="ndarray").T
         keys = self._cloud.keys(a, b)
         arrived = (keys < time[0]) | ((keys == time[0]) & ((a < time[1]) | ((a == time[1]) & (b < time[2]))))
         a = a[arrived]
         b = b[arrived]
-        lengths = np.sqrt(keys[arrived]) if self._cloud.axes else keys[arrived]
+        lengths = keys[arrived] if self._cloud.is_matrix else np.sqrt(keys[arrived])
         return csr_array((np.tile(lengths, 2), (np.append(a, b), np.append(b, a))), (n, n))
 
     @cached_property

@@ -5,19 +5,17 @@ from __future__ import annotations
 from collections.abc import Sequence
 from dataclasses import dataclass
 from functools import cached_property
+from itertools import pairwise
 from typing import TYPE_CHECKING
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from .._validate import Array, Ids, as_ids, positive
+from .._validate import as_ids, positive
 from ._cloud import Cloud
-from ._pairs import pairs
 
 if TYPE_CHECKING:
     from ._cycles import Homology
-
-_OUTER = np.array([[0, 2, 1], [2, 1, 0], [0, 3, 1], [3, 1, 0]])  # edges of the killer triangles, and the third vertex
 
 
 @dataclass(frozen=True, eq=False)
@@ -71,8 +69,11 @@ class Diagram:
         death = radii[0, vertices[1]]
 
         # When a triangle on an outer edge {a, b} enters, for each third vertex but those of the killer triangle itself.
-        a, b, _ = _OUTER.T
-        triangles = vertices[_OUTER]
+        outer = np.array(
+            [[0, 2, 1], [2, 1, 0], [0, 3, 1], [3, 1, 0]]
+        )  # edges of the killer triangles, and the third vertex
+        a, b, _ = outer.T
+        triangles = vertices[outer]
         enters = np.maximum(np.maximum(radii[a], radii[b]), radii[a, triangles[:, 1], None])
         rows = np.arange(4)
         enters[rows[:, None], triangles] = np.inf
@@ -105,6 +106,55 @@ class Diagram:
         birth_edge = tuple(self.birth_edge[i].tolist())
         killer_edge = None if np.isinf(self.death[i]) else tuple(self.killer_edge[i].tolist())
         return np.array(self._homology.representative(birth_edge, killer_edge), dtype=np.int64)
+
+    def tighten(self, cycle: ArrayLike, *, radius: float | None = None) -> NDArray[np.int64]:
+        """Shorten a closed walk without leaving its homology class.
+
+        Stretches of a third of the walk are replaced by the shortest path between their ends that is homologous to them, until
+        none can be. The walk keeps its class over Z/2; it is not always the shortest of it. A boundary shrinks to a vertex.
+
+        Parameters
+        ----------
+        cycle : (length,) array_like of int
+            Vertex ids; the last joins the first.
+        radius : float, optional
+            The Rips complex has all edges up to the length 2 * radius. When the radius is not given, or is below half the
+            length of the walk's longest edge, that half length is used. It may be at most the diagram's `max_radius`.
+
+        Returns
+        -------
+        (new_length,) int64
+            Vertex ids, from the first old vertex that is still there.
+
+        Examples
+        --------
+        Around the square; at radius 1.2 the corner at vertex 4 can be cut.
+
+        >>> from topokit import rips_persistence
+        >>> diagram = rips_persistence([[0, 0], [2, 0], [2, 2], [0, 2], [1, 2.5]])
+        >>> diagram.tighten([0, 1, 2, 4, 3])
+        array([0, 1, 2, 4, 3])
+        >>> diagram.tighten([0, 1, 2, 4, 3], radius=1.2)
+        array([0, 1, 2, 3])
+        """
+        walk = _as_walk(cycle, self.n_points)
+        homology = self._homology
+
+        # The complex just after the walk's latest edge, or at the radius.
+        key, low, high = max(homology.time(a, b) for a, b in pairwise([*walk, walk[0]]))
+        time = (key, low, high + 1)
+        reached = float(self._cloud.radii(low, np.array(high)))
+        if radius is not None:
+            given = positive(radius, "radius", infinite=True)
+            time = max(time, (self._cloud.key_of(given), self.n_points, self.n_points))
+            reached = max(reached, given)
+        if reached > self.max_radius:
+            raise ValueError(f"the diagram ends at max_radius {self.max_radius:g}, and radius {reached:g} is asked for")
+
+        # Begin at the first old vertex that is still there.
+        tight = homology.tightened(walk, time)
+        first = next((tight.index(vertex) for vertex in walk if vertex in tight), 0)
+        return np.array([*tight[first:], *tight[:first]], dtype=np.int64)
 
     def killers_of(self, walks: Sequence[ArrayLike]) -> NDArray[np.int64]:
         """Return for closed walks the edges with which they die by the elder rule.
@@ -141,34 +191,6 @@ class Diagram:
         edges = [edge or (-1, -1) for edge in self._homology.killers_of(ids)]
         return np.array(edges, dtype=np.int64).reshape(-1, 2)
 
-    def to_gudhi(self) -> tuple[Ids, list[Ids], Ids, list[Ids]]:
-        """Return the pairs in the form of GUDHI's ``SimplexTree.flag_persistence_generators``, larger vertices first.
-
-        GUDHI is not needed for it. Which of two components dies when they merge is open, as all are born at 0: here it is the
-        one whose first vertex has the larger number.
-
-        Returns
-        -------
-        (c, 3) int64, list of (n, 4) int64, (k,) int64, list of (m, 2) int64
-            For each merge of components, a vertex and the edge. For loops that end, birth edge and killer edge. A vertex of
-            each component that stays. The birth edges of loops that stay. The lists are empty when there is no such loop.
-
-        Examples
-        --------
-        >>> from topokit import rips_persistence
-        >>> rips_persistence([[0, 0], [2, 0], [2, 2], [0, 2]]).to_gudhi()[1]
-        [array([[3, 2, 2, 0]])]
-        """
-        edges, radii = _component_merges(self._cloud, self.max_radius)
-        dying, staying = _elders(edges, self.n_points)
-        merges = np.column_stack([dying, edges[:, ::-1]])[radii > 0]
-        birth_edge = self.birth_edge[:, ::-1]
-        killer_edge = self.killer_edge[:, ::-1]
-        stays = np.isinf(self.death)
-        ended = np.hstack([birth_edge, killer_edge])[~stays]
-        staying_loops = birth_edge[stays]
-        return merges, [ended] if len(ended) else [], staying, [staying_loops] if len(staying_loops) else []
-
     @cached_property
     def _homology(self) -> Homology:
         from ._cycles import Homology  # SciPy takes a while to import
@@ -180,82 +202,6 @@ class Diagram:
             raise IndexError(f"no loop {i}: the diagram has {len(self)}")
 
 
-def tighten(
-    points: ArrayLike | Diagram, cycle: ArrayLike, *, radius: float | None = None, metric: str = "euclidean"
-) -> NDArray[np.int64]:
-    """Shorten a closed walk without leaving its homology class.
-
-    Stretches of a third of the walk are replaced by the shortest path between their ends that is homologous to them, until
-    none can be. The walk keeps its class over Z/2; it is not always the shortest of it. A boundary shrinks to a vertex.
-
-    Parameters
-    ----------
-    points : (n, d) array_like or Diagram
-        Coordinates, with ``metric="precomputed"`` the (n, n) distances, or a diagram of either.
-    cycle : (length,) array_like of int
-        Vertex ids; the last joins the first.
-    radius : float, optional
-        The Rips complex has all edges up to the length 2 * radius. When the radius is not given, or is below half the length of
-        the walk's longest edge, that half length is used.
-    metric : {"euclidean", "precomputed"}
-        Kind of `points`; ignored for a diagram.
-
-    Returns
-    -------
-    (new_length,) int64
-        Vertex ids, from the first old vertex that is still there.
-
-    Raises
-    ------
-    TypeError, ValueError
-        When `cycle` is not a sequence of vertex ids.
-
-    Examples
-    --------
-    Around the square; at radius 1.2 the corner at vertex 4 can be cut.
-
-    >>> points = [[0, 0], [2, 0], [2, 2], [0, 2], [1, 2.5]]
-    >>> tighten(points, [0, 1, 2, 4, 3])
-    array([0, 1, 2, 4, 3])
-    >>> tighten(points, [0, 1, 2, 4, 3], radius=1.2)
-    array([0, 1, 2, 3])
-    """
-    from ._cycles import Homology, sides  # SciPy takes a while to import
-
-    if isinstance(points, Diagram):
-        diagram = points
-        cloud = diagram._cloud
-    else:
-        diagram = None
-        cloud = Cloud.of(points, metric)
-    walk = _as_walk(cycle, len(cloud))
-
-    # The complex just after the walk's latest edge, or at the radius.
-    a, b = np.sort(sides(walk)).T
-    key, low, high = max(zip(cloud.keys(a, b).tolist(), a.tolist(), b.tolist(), strict=True))
-    time = (key, low, high + 1)
-    bound = float(cloud.radii(low, np.array(high)))
-    if radius is not None:
-        given = positive(radius, "radius", infinite=True) * cloud.scale
-        bound = max(bound, given)
-        time = max(time, (cloud.key_of(given), len(cloud), len(cloud)))
-    bound *= 1 + 1e-12
-
-    # Its classes are known if the diagram reaches so far.
-    if diagram is not None and bound <= diagram.max_radius * cloud.scale:
-        classes = diagram._homology
-    else:
-        found = pairs(cloud, bound)
-        classes = Homology(cloud, found.created, found.killed)
-    tight = classes.tightened(walk, time)
-    if classes.length(tight) > classes.length(walk):  # only by rounding
-        tight = walk
-
-    # Begin at the first old vertex that is still there.
-    first = next((tight.index(vertex) for vertex in walk if vertex in tight), 0)
-    return np.array([*tight[first:], *tight[:first]], dtype=np.int64)
-
-
 def _as_walk(cycle: ArrayLike, n_points: int, name: str = "cycle") -> list[int]:
     """Return the vertex ids of a closed walk, repeated ones next to each other left out."""
     if np.ndim(cycle) != 1:
@@ -265,55 +211,3 @@ def _as_walk(cycle: ArrayLike, n_points: int, name: str = "cycle") -> list[int]:
     ids = as_ids(cycle, name, n_points)
     changes = ids != np.roll(ids, -1)
     return ids[changes].tolist() if changes.any() else [int(ids[0])]
-
-
-def _component_merges(cloud: Cloud, max_radius: float) -> tuple[Ids, Array]:
-    """Return the (m, 2) edges with which components merge, smaller vertex first, in the total order; and half their lengths."""
-    edges = _spanning_tree(cloud)
-    radii = cloud.radii(edges[:, 0], edges[:, 1]) / cloud.scale
-    inside = radii <= max_radius
-    return edges[inside], radii[inside]
-
-
-def _spanning_tree(cloud: Cloud) -> Ids:
-    """Return the (n - 1, 2) edges of the minimum spanning tree in the total order, smaller vertex first, by Prim's method."""
-    n = len(cloud)
-    edges = np.empty((max(n - 1, 0), 3))  # key, smaller and larger vertex
-    keys = np.full(n, np.inf)  # of the shortest edge from the tree to each vertex outside; not a number inside
-    nearest = np.zeros(n, np.int64)  # the vertex of the tree at which that edge begins
-    new = 0
-    for row in range(len(edges)):
-        # A vertex has joined the tree, and is now the nearest one of some vertices outside.
-        keys[new] = np.nan
-        to_new = cloud.keys(new, slice(None))
-        is_nearer = to_new < keys
-        for other in np.flatnonzero(to_new == keys).tolist():
-            is_nearer[other] = sorted((new, other)) < sorted((nearest[other], other))
-        nearest[is_nearer] = new
-        keys[is_nearer] = to_new[is_nearer]
-
-        # The first edge in the total order that leaves the tree brings the next vertex.
-        shortest = np.flatnonzero(keys == np.fmin.reduce(keys)).tolist()
-        new = min(shortest, key=lambda other: sorted((nearest[other], other)))
-        edges[row] = keys[new], *sorted((nearest[new], new))
-    order = np.lexsort((edges[:, 2], edges[:, 1], edges[:, 0]))
-    return edges[order, 1:].astype(np.int64)
-
-
-def _elders(edges: Ids, n: int) -> tuple[Ids, Ids]:
-    """Return the vertex that dies with each merge, the one with the larger number of two first vertices, and those that stay."""
-    first = list(range(n))  # on the way to the first vertex of the component
-
-    def first_of(vertex: int) -> int:
-        while first[vertex] != vertex:
-            first[vertex] = first[first[vertex]]
-            vertex = first[vertex]
-        return vertex
-
-    dying = []
-    for a, b in edges.tolist():
-        elder, younger = sorted((first_of(a), first_of(b)))
-        first[younger] = elder
-        dying.append(younger)
-    staying = [vertex for vertex in range(n) if first[vertex] == vertex]
-    return np.array(dying, np.int64), np.array(staying, np.int64)

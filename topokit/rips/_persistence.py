@@ -1,21 +1,23 @@
-"""Degree-1 persistence of one cloud, of many clouds on all cores, and of the frames of a film."""
+"""Degree-1 persistence of one cloud and of many clouds: the choice between plain Python and the engine, and diagrams of pairs."""
 
 from __future__ import annotations
 
+import math
 import sys
-import warnings
-from collections.abc import Sequence
+import threading
+from collections.abc import Iterable, Iterator, Sequence
 from concurrent.futures import ThreadPoolExecutor
-from itertools import pairwise
+from functools import cache
+from importlib.util import find_spec
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from .._cores import n_cores
-from .._validate import Array, as_sequence, positive, whole
-from ._cloud import Cloud
+from .._validate import Ids, as_sequence, positive, whole
+from . import pairing
+from ._cloud import Cloud, check_memory
 from ._diagram import Diagram
-from ._pairs import LONG, Pairs, compiled_pays, new_stop, pairs, pairs_of_many, stop_run
 
 
 def rips_persistence(
@@ -23,7 +25,8 @@ def rips_persistence(
 ) -> Diagram:
     """Compute the loops of a point cloud: degree-1 Vietoris-Rips persistence, exactly.
 
-    Edges are ordered by (length, smaller index, larger index); this order decides every tie. Ctrl-C ends a long computation.
+    Edges are ordered by (length, smaller index, larger index); this order decides every tie. The first clouds are computed in
+    plain Python. Once they are work for two seconds, numba compiles the engine, or loads it from the user's cache.
 
     Parameters
     ----------
@@ -40,10 +43,9 @@ def rips_persistence(
     ValueError
         When the points or the matrix are not valid, as with nan or an asymmetric matrix.
     MemoryError
-        When the tables would take more than 4.3 GB; take a subset of the points then (`farthest_point_sample`). Points in up
-        to three dimensions need at most 2 kB each, and more when many edges have the same length. Points of more dimensions, and
-        a matrix, need 8 bytes and 1 bit for each pair, and 36 bytes for each edge that is sorted at a time: four million edges,
-        or more when more have the same length.
+        When the tables would take more than 4.3 GB: a bit for each pair of points (185,000 points), and for more than three
+        dimensions or a matrix of distances 8 bytes more (23,000 points). Take a subset of the points then
+        (`farthest_point_sample`); births and deaths change by at most its covering radius.
 
     Examples
     --------
@@ -53,21 +55,8 @@ def rips_persistence(
     >>> dgm.birth, dgm.death.round(4), dgm.killer_edge
     (array([1.]), array([1.4142]), array([[0, 2]]))
     """
-    cutoff = positive(max_radius, "max_radius", infinite=True)
-    shortest = positive(min_lifetime, "min_lifetime", infinite=True)
-    cloud = Cloud.of(points, metric)
-    if metric == "euclidean":
-        _suspect_distances(points)
-    return _diagrams([cloud], [pairs(cloud, cutoff * cloud.scale)], cutoff, shortest)[0]
-
-
-def _suspect_distances(points: ArrayLike) -> None:
-    """Warn when points look like a matrix of distances: square, symmetric, and zero on the diagonal."""
-    table = np.asarray(points)
-    is_square = 4 <= table.shape[0] == table.shape[1]
-    if is_square and not table.diagonal().any() and np.array_equal(table, table.T):
-        message = 'points are a symmetric matrix with a zero diagonal: if they are distances, give metric="precomputed"'
-        warnings.warn(message, stacklevel=3)
+    (diagram,) = _diagrams([Cloud.of(points, metric)], 1, max_radius, min_lifetime)
+    return diagram
 
 
 def rips_persistence_many(
@@ -80,7 +69,7 @@ def rips_persistence_many(
 ) -> list[Diagram]:
     """Compute the diagrams of many point clouds on all cores.
 
-    The clouds are shared with threads, not copied: the compiled kernel runs without Python's lock.
+    The clouds are shared with threads, not copied: the compiled engine runs without Python's lock.
 
     Parameters
     ----------
@@ -104,80 +93,113 @@ def rips_persistence_many(
     >>> [len(dgm) for dgm in rips_persistence_many([square, 2 * square, square[:3]])]
     [1, 1, 0]
     """
-    arrays = as_sequence(clouds, "clouds")
+    checked = [Cloud.of_points(points) for points in as_sequence(clouds, "clouds")]
     workers = n_cores() if n_jobs is None else whole(n_jobs, "n_jobs", 1)
+    diagrams = _diagrams(checked, workers, max_radius, min_lifetime)
+    return list(_counted(diagrams, len(checked)) if progress else diagrams)
+
+
+def _counted(diagrams: Iterable[Diagram], total: int) -> Iterator[Diagram]:
+    """Yield diagrams, and write how many there were to stderr."""
+    for number, diagram in enumerate(diagrams, 1):
+        print(f"\rpersistence: {number} of {total} clouds", end="", file=sys.stderr, flush=True)
+        yield diagram
+    print(file=sys.stderr)
+
+
+def _diagrams(clouds: Sequence[Cloud], workers: int, max_radius: float, min_lifetime: float) -> Iterator[Diagram]:
+    """Yield the diagrams of clouds in their order."""
     cutoff = positive(max_radius, "max_radius", infinite=True)
     shortest = positive(min_lifetime, "min_lifetime", infinite=True)
+    stop = np.zeros(1, np.int64)
+    with_engine = _engine_pays(clouds)
 
-    # Of all clouds together, compiling may pay. Clouds of more than three dimensions are read as matrices.
-    if arrays and arrays[0].shape[1] <= 3:
-        compiled_pays(list(map(len, arrays)))
+    def diagram_of(cloud: Cloud) -> Diagram:
+        pairs = (
+            _pairs_of_engine(cloud, cutoff, stop) if with_engine else pairing.pair_edges(cloud, cloud.key_of(cutoff))
+        )
+        return _diagram(cloud, *pairs, cutoff, shortest)
 
-    # A call of the kernel takes many small clouds, or one large cloud.
-    clouds_per_call = 1
-    if max(map(len, arrays), default=0) < LONG:
-        clouds_per_call = min(64, -(-len(arrays) // workers) or 1)
-
-    diagrams: list[Diagram] = []
-    stops: list[NDArray[np.int64]] = []
-    jobs = []
+    # Long work of the engine is done by other threads, so that Ctrl-C, which the main thread alone hears, can end it.
+    is_long = sum(len(cloud) ** 2 for cloud in clouds) > 1e6 * workers
+    if not (with_engine and is_long):
+        yield from map(diagram_of, clouds)
+        return
+    size = -(-len(clouds) // (8 * workers))
+    chunks = [clouds[start : start + size] for start in range(0, len(clouds), size)]
     with ThreadPoolExecutor(workers) as pool:
         try:
-            for first in range(0, len(arrays), clouds_per_call):
-                stops.append(new_stop())
-                batch = arrays[first : first + clouds_per_call]
-                jobs.append(pool.submit(_diagrams_of_batch, batch, cutoff, shortest, stops[-1]))
-            for job in jobs:
-                diagrams += job.result()
-                if progress:
-                    line = f"\rpersistence: {len(diagrams)} of {len(arrays)} clouds"
-                    print(line, end="", file=sys.stderr, flush=True)
+            for diagrams in pool.map(lambda chunk: list(map(diagram_of, chunk)), chunks):
+                yield from diagrams
         finally:
-            # After an error or Ctrl-C, stop the other threads instead of waiting for them.
-            pool.shutdown(wait=False, cancel_futures=True)
-            for stop in stops:
-                stop_run(stop)
-            if progress and jobs:
-                print(file=sys.stderr)
-    return diagrams
+            stop[0] = 1
 
 
-def _diagrams_of_batch(
-    arrays: Sequence[Array], cutoff: float, shortest: float, stop: NDArray[np.int64]
-) -> list[Diagram]:
-    """Compute the diagrams of checked clouds with one call of the kernel."""
-    clouds = [Cloud.of_points(array) for array in arrays]
-    return _diagrams(clouds, pairs_of_many(clouds, cutoff, stop), cutoff, shortest)
+def _pairs_of_engine(cloud: Cloud, cutoff: float, stop: NDArray[np.int64]) -> tuple[Ids, Ids]:
+    """Pair the edges of a cloud as `pairing.pair_edges` does."""
+    if len(cloud) < 4:
+        return np.empty((0, 2), np.int64), np.empty((0, 4), np.int64)
+    check_memory(len(cloud), is_matrix=cloud.is_matrix)
+    from .engine.pairing import pair_edges  # numba is imported here
+
+    if cloud.is_matrix:
+        created, killed, number = pair_edges(cloud.data, cloud.key_of(cutoff), stop)
+    else:
+        # A power of two brings all coordinates to at most 1, and costs no digit.
+        scale = 2.0 ** -math.frexp(np.abs(cloud.data).max())[1]
+        created, killed, number = pair_edges(cloud.data * scale, cloud.key_of(cutoff) * scale**2, stop)
+    return number[created], np.append(number, -1)[killed]
 
 
-def _diagrams(clouds: Sequence[Cloud], found: Sequence[Pairs], cutoff: float, shortest: float) -> list[Diagram]:
-    """Return for each cloud the diagram of the loops that live long enough, longest lifetime first, in the unit of the cloud."""
-    created, killed, birth, death = (np.concatenate(columns) for columns in zip(*found, strict=True))
-    number = np.repeat(np.arange(len(clouds)), [len(loops.birth) for loops in found])
-    scale = np.array([cloud.scale for cloud in clouds])[number]
+def _diagram(cloud: Cloud, created: Ids, killed: Ids, cutoff: float, shortest: float) -> Diagram:
+    """Return the diagram of the loops that live long enough, longest lifetime first; ties keep the order of birth."""
+    created.sort()
+    killed[:, :2].sort()
+    ends = np.stack([created, killed[:, :2]])
+    birth, death = cloud.radii(ends[..., 0], ends[..., 1])
+    alive = (killed[:, 0] < 0) | (death > cutoff)
+    death[alive] = np.inf
+    killed[alive] = -1
+    if cutoff < np.inf:
+        inside = birth <= cutoff
+        created, killed, birth, death = created[inside], killed[inside], birth[inside], death[inside]
+
     lifetime = death - birth
+    order = np.argsort(-lifetime, kind="stable")
+    keep = order[((lifetime > 0) & (lifetime >= shortest))[order]]
+    killers = killed[keep]
+    return Diagram(
+        birth=birth[keep],
+        death=death[keep],
+        birth_edge=created[keep],
+        killer_edge=killers[:, :2],
+        # A killer edge (0, 1) with its two apexes (2, 3) gives two triangles; that of the second apex is first.
+        killer_triangles=killers[:, [[0, 1, 3], [0, 1, 2]]],
+        n_points=len(cloud),
+        max_radius=cutoff,
+        _cloud=cloud,
+        _simplices=(created, killed),
+    )
 
-    # All clouds at once, and then the rows of each. Ties keep the order of birth.
-    order = np.lexsort((-lifetime, number))
-    keep = order[((lifetime > 0) & (lifetime >= shortest * scale))[order]]
-    killed = killed[keep]
-    birth = birth[keep] / scale[keep]
-    death = death[keep] / scale[keep]
-    created = created[keep]
-    # A killer edge (0, 1) with its two apexes (2, 3) gives two triangles; that of the second apex is first.
-    triangles = killed[:, [[0, 1, 3], [0, 1, 2]]]
-    ends = np.searchsorted(number[keep], np.arange(len(clouds) + 1)).tolist()
-    return [
-        Diagram(
-            birth=birth[a:b],
-            death=death[a:b],
-            birth_edge=created[a:b],
-            killer_edge=killed[a:b, :2],
-            killer_triangles=triangles[a:b],
-            n_points=len(cloud),
-            max_radius=cutoff,
-            _cloud=cloud,
-            _simplices=(loops.created, loops.killed),
-        )
-        for cloud, loops, (a, b) in zip(clouds, found, pairwise(ends), strict=True)
-    ]
+
+# The choice -----------------------------------------------------------------------------------------------------------
+
+
+class _Work:
+    """Seconds that the clouds of this process take, or would take, in plain Python."""
+
+    seconds = 0.0
+    lock = threading.Lock()
+
+
+def _engine_pays(clouds: Sequence[Cloud]) -> bool:
+    """Return True if numba is there and the clouds so far are work for more than two seconds in plain Python."""
+    with _Work.lock:
+        for n in map(len, clouds):
+            _Work.seconds += n * n / 2 * (0.6e-6 + 0.4e-9 * n)
+        return _Work.seconds > 2.0 and _has_numba()
+
+
+@cache
+def _has_numba() -> bool:
+    return find_spec("numba") is not None

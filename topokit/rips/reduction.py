@@ -222,7 +222,7 @@ def _edges(cloud: Cloud, max_radius: float) -> list[tuple[float, int, int]]:
     edges: list[tuple[float, int, int, float]] = []
     for i in range(n):
         keys = cloud.keys(i, slice(None)).tolist()
-        radii = (cloud.radii(i, slice(None)) / cloud.scale).tolist()
+        radii = cloud.radii(i, slice(None)).tolist()
         edges += [(keys[j], i, j, radii[j]) for j in range(i + 1, n) if radii[j] <= max_radius]
         _check_size(n + len(edges), n, 1)
     return [(radius, i, j) for _, i, j, radius in sorted(edges)]

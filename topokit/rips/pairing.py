@@ -1,4 +1,4 @@
-"""The pairing of edges without a compiler: the algorithm of `kernel` as the book tells it, for small clouds.
+"""The pairing of edges by lunes, as the book tells it, and for small clouds.
 
 Idea: edges arrive in the total order (length, smaller index, larger index). The *lune* of an arriving edge {x, y} holds the
 vertices that are joined to both its ends already. There are three cases.
@@ -9,8 +9,8 @@ vertices that are joined to both its ends already. There are three cases.
   the creators of loops and reduced, it may kill one loop.
 
 A set of vertices is one Python integer, whose bit v is set when v is in the set. So the lune is the AND of two integers, and a
-set is absorbed in one operation however many vertices it has. `kernel` does the same with less for each edge, once it is
-compiled; both return the same pairs.
+set is absorbed in one operation however many vertices it has. `topokit.rips.engine` does the same with less for each edge, once
+it is compiled; both return the same pairs.
 
 Source: Koyama, Memoli, Robins, Turner 2023 (the reduced Vietoris-Rips filtration). Taught in chapter 2.
 """
@@ -18,26 +18,14 @@ Source: Koyama, Memoli, Robins, Turner 2023 (the reduced Vietoris-Rips filtratio
 from __future__ import annotations
 
 from collections.abc import Iterator
-from concurrent.futures import CancelledError
 
 import numpy as np
-from numpy.typing import NDArray
 
 from .._validate import Array, Ids
-from . import _cloud
-from ._cloud import Cloud, too_large
-
-_AT_ONCE = 1 << 12  # edges between two looks at the flag that another thread sets
-_PAIRS_AT_ONCE = 1 << 20  # whose keys are computed at a time
-_BYTES_A_PAIR = 80  # of the tables below, while edges are sorted
+from ._cloud import Cloud
 
 
-def seconds(n: int) -> float:
-    """Return about how long a cloud of n points takes; sets of more vertices take longer."""
-    return n * n / 2 * (0.6e-6 + 0.4e-9 * n)
-
-
-def pair_edges(cloud: Cloud, max_key: float, stop: NDArray[np.int64]) -> tuple[Ids, Ids]:
+def pair_edges(cloud: Cloud, max_key: float) -> tuple[Ids, Ids]:
     """Pair the edges that create loops with the edges that kill them.
 
     Parameters
@@ -45,8 +33,6 @@ def pair_edges(cloud: Cloud, max_key: float, stop: NDArray[np.int64]) -> tuple[I
     cloud : Cloud
     max_key : float
         Key (`Cloud.keys`) of the last edge that may be used.
-    stop : (1,) int64
-        Another thread writes something other than 0 into it to end the run.
 
     Returns
     -------
@@ -55,65 +41,52 @@ def pair_edges(cloud: Cloud, max_key: float, stop: NDArray[np.int64]) -> tuple[I
     killed : (c, 4) int64
         The edges that kill these loops, each with the apexes of its two triangles; -1 for a loop that is still alive.
     """
-    edges, arrival, keys = _in_order(cloud, max_key)
+    edges, arrival, keys = edges_in_order(cloud, max_key)
     joined = [1 << v for v in range(len(cloud))]  # a vertex is joined to itself
-    loops = _Loops(arrival)
+    loops = Loops(arrival)
     component = list(range(len(cloud)))  # of each vertex another one of its component, in the end the same for all
-    for start in range(0, len(edges), _AT_ONCE):
-        if stop[0]:
-            raise CancelledError
-        for x, y in edges[start : start + _AT_ONCE].tolist():
-            lune = joined[x] & joined[y]
-            joined[x] |= 1 << y
-            joined[y] |= 1 << x
-            if not lune:
-                a = _root(component, x)
-                b = _root(component, y)
-                component[a] = b
-                loops.add_creator(x, y, creates_loop=a == b)
+    for x, y in edges.tolist():
+        lune = joined[x] & joined[y]
+        joined[x] |= 1 << y
+        joined[y] |= 1 << x
+        if not lune:
+            a = root_of(component, x)
+            b = root_of(component, y)
+            component[a] = b
+            loops.add_creator(x, y, creates_loop=a == b)
 
-            # While no loop is alive, none can be killed.
-            elif loops.alive and _connected_part(joined, lune) != lune:
-                first, *others = _apexes(joined, lune, keys[np.maximum(arrival[x], arrival[y])])
-                for further in others:
-                    loops.add_relation(x, y, first, further)
+        # While no loop is alive, none can be killed.
+        elif loops.alive and connected_part(joined, lune) != lune:
+            first, *others = apexes_of(joined, lune, keys[np.maximum(arrival[x], arrival[y])])
+            for further in others:
+                loops.add_relation(x, y, first, further)
     return np.array(loops.created, np.int64).reshape(-1, 2), np.array(loops.killed, np.int64).reshape(-1, 4)
 
 
 # The total order ------------------------------------------------------------------------------------------------------
 
 
-def _in_order(cloud: Cloud, max_key: float) -> tuple[NDArray[np.int32], NDArray[np.int32], Array]:
+def edges_in_order(cloud: Cloud, max_key: float) -> tuple[Ids, Ids, Array]:
     """Return the edges up to a key in the total order, what number each edge has in it, and their keys.
 
     Returns
     -------
-    edges : (m, 2) int32
+    edges : (m, 2) int64
         The smaller vertex first.
-    arrival : (n, n) int32
+    arrival : (n, n) int64
         The number of the edge between two vertices; m where there is none.
     keys : (m + 1,) float64
         What orders them, and infinity.
     """
     n = len(cloud)
-    if _BYTES_A_PAIR * n * n > 2 * _cloud.MEMORY:
-        raise too_large(n, f"{_BYTES_A_PAIR * n * n / 2e9:.1f} GB without numba")
-    # Pairs are listed by the smaller and then by the larger vertex, some rows of the table at a time.
-    vertices = np.arange(n)
-    rows_at_once = _PAIRS_AT_ONCE // n + 1
-    parts = []
-    for start in range(0, n, rows_at_once):
-        rows = vertices[start : start + rows_at_once, None]
-        keys = cloud.keys(rows, vertices)
-        row, column = np.nonzero((rows < vertices) & (keys <= max_key))
-        parts.append(((start + row).astype(np.int32), column.astype(np.int32), keys[row, column]))
-    low, high, keys = map(np.concatenate, zip(*parts, strict=True))
-
-    # A stable sort keeps that order for edges of one length.
+    # Pairs are listed by the smaller and then by the larger vertex; a stable sort keeps that order for edges of one length.
+    low, high = np.triu_indices(n, 1)
+    keys = cloud.keys(low, high)
     order = np.argsort(keys, kind="stable")
+    order = order[keys[order] <= max_key]
     edges = np.column_stack([low[order], high[order]])
-    numbers = np.arange(len(edges), dtype=np.int32)
-    arrival = np.full((n, n), len(edges), np.int32)
+    numbers = np.arange(len(edges))
+    arrival = np.full((n, n), len(edges))
     arrival[edges[:, 0], edges[:, 1]] = numbers
     arrival[edges[:, 1], edges[:, 0]] = numbers
     return edges, arrival, np.append(keys[order], np.inf)
@@ -122,7 +95,7 @@ def _in_order(cloud: Cloud, max_key: float) -> tuple[NDArray[np.int32], NDArray[
 # Lunes ----------------------------------------------------------------------------------------------------------------
 
 
-def _vertices(bits: int) -> Iterator[int]:
+def vertices_of(bits: int) -> Iterator[int]:
     """Yield the vertices of a set, the largest first."""
     while bits:
         vertex = bits.bit_length() - 1
@@ -130,7 +103,7 @@ def _vertices(bits: int) -> Iterator[int]:
         bits ^= 1 << vertex
 
 
-def _connected_part(joined: list[int], lune: int) -> int:
+def connected_part(joined: list[int], lune: int) -> int:
     """Return the component of a lune that holds its largest vertex."""
     part = lune & joined[lune.bit_length() - 1]
     waiting = lune & ~part
@@ -144,17 +117,17 @@ def _connected_part(joined: list[int], lune: int) -> int:
     return part
 
 
-def _apexes(joined: list[int], lune: int, values: Array) -> list[int]:
+def apexes_of(joined: list[int], lune: int, values: Array) -> list[int]:
     """Return from each component of a lune the vertex of least value, its *apex*; ties go to the smaller vertex."""
     apexes = []
     while lune:
-        part = _connected_part(joined, lune)
+        part = connected_part(joined, lune)
         lune ^= part
-        apexes.append(min((values[vertex], vertex) for vertex in _vertices(part)))
+        apexes.append(min((values[vertex], vertex) for vertex in vertices_of(part)))
     return [apex for _, apex in sorted(apexes)]
 
 
-def _root(component: list[int], vertex: int) -> int:
+def root_of(component: list[int], vertex: int) -> int:
     """Return the vertex that stands for the component of a vertex."""
     while component[vertex] != vertex:
         component[vertex] = component[component[vertex]]
@@ -165,10 +138,10 @@ def _root(component: list[int], vertex: int) -> int:
 # Relations between loops ----------------------------------------------------------------------------------------------
 
 
-class _Loops:
+class Loops:
     """The loops born so far, and the relations between them: sets of loops, as bits, that together bound."""
 
-    def __init__(self, arrival: NDArray[np.int32]) -> None:
+    def __init__(self, arrival: Ids) -> None:
         self.created: list[tuple[int, int]] = []
         self.killed: list[tuple[int, int, int, int]] = []
         self.alive = 0

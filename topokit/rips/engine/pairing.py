@@ -1,0 +1,123 @@
+"""The pairing of a cloud's edges, compiled."""
+
+from __future__ import annotations
+
+import numpy as np
+from numba import njit
+
+from . import compiled
+from .edges import are_points, edges_between, ends_of, first_window, new_edges, next_window
+from .lunes import count_components, find_middles, has_bit, is_cone, is_connected, join, new_grid, new_lune, write_lune
+from .relations import add_edge, add_loop, kill_loops, new_graph, new_loops
+from .stop import greatest_length, last_of_matrix, last_of_points
+from .tree import build_tree, first_numbers, tree_of_matrix
+
+
+@compiled
+def root_of(parent, x):
+    """Return the vertex that represents the component of x."""
+    while parent[x] != x:
+        parent[x] = parent[parent[x]]
+        x = parent[x]
+    return x
+
+
+@compiled
+def next_change(rows, keys, lengths, e, m, longest, alive, bits, left, stop):
+    """Join edges from the e-th on until one changes something; return its number + 1, and a vertex of its lune, -1 for none.
+
+    Edges longer than `longest` are not read; where one comes, or all m are read, the second number is -2.
+    """
+    z = -2
+    while e < m and z == -2 and stop[0] == 0 and lengths[e] <= longest:
+        # A cone changes nothing, nor does a connected lune; while no loop is alive, none can be killed either.
+        x, y, middle = ends_of(keys[e])
+        if middle >= 0 and not is_cone(rows, x, y, middle):
+            z = write_lune(rows, x, y, bits)
+            if has_bit(bits, middle):
+                z = middle
+            if z >= 0 and (not alive or is_connected(rows, bits, z, left)):
+                z = -2
+        join(rows, x, y)
+        e += 1
+    return e, z
+
+
+@njit(error_model="numpy", nogil=True, cache=True)
+def pair_edges(data, max_length, stop):
+    """Pair the edges that create loops with the edges that kill them.
+
+    `data` holds (n, 3) points, of coordinates up to 1, or an (n, n) matrix of distances, n >= 4. Lengths are squared for points.
+    Another thread writes something other than 0 into `stop` (1,) to end the run; then the result is incomplete.
+
+    Return the (c, 2) edges that create loops, the (c, 4) killer edges with their two apexes, -1 for none, and the number in the
+    cloud of each vertex in these tables.
+    """
+    n = len(data)
+    if are_points(data):
+        tree = build_tree(data)
+        data = tree.points
+    else:
+        tree = tree_of_matrix(n)
+    label = tree.label
+    words = (n + 63) >> 6
+    rows = np.zeros((n, words), dtype=np.uint64)
+    for v in range(n):
+        join(rows, v, v)
+    lune = new_lune(n)
+    grid = new_grid(tree)
+    graph = new_graph(n)
+    n_graph = np.int64(0)
+    loops = new_loops()
+    born = np.int64(0)
+    alive = 0
+    parent = first_numbers(n)
+    n_components = n
+    greatest = min(greatest_length(data, tree), max_length)  # the greatest length that matters
+    beyond = greatest * (1.0 + 1e-12) + 5e-324
+    last = -1.0  # the length of the last edge with an empty lune, once it is known
+    shortest = 0.0
+    longest = min(max(first_window(data), 1e-6 * greatest, 5e-324), beyond)
+    edges = new_edges(min(n * n, 1 << 16))
+    done = False
+    while not done:
+        edges, m, longest = edges_between(data, tree, shortest, longest, edges)
+        # Rows of up to 3 words are read as quickly as a middle is looked up; longer ones than 32 less quickly than places are
+        # compared.
+        if are_points(data) and words > 3:
+            find_middles(tree, grid, edges.keys, edges.lengths, m, words > 32)
+        e = np.int64(0)
+        while e < m:
+            bound = min(max_length, last) if alive == 0 and last >= 0 else max_length
+            e, z = next_change(rows, edges.keys, edges.lengths, e, m, bound, alive > 0, lune.bits, lune.left, stop)
+            if z == -2:
+                done = e < m
+                break
+            x, y, _ = ends_of(edges.keys[e - 1])
+            if z >= 0:  # the lune is disconnected
+                count = count_components(data, rows, label, x, y, lune)
+                graph, dead = kill_loops(data, label, rows, graph, loops, born, x, y, lune.apexes, count)
+                alive -= dead
+            else:  # the lune is empty
+                a = root_of(parent, x)
+                b = root_of(parent, y)
+                graph = add_edge(graph, n_graph, x, y, born if a == b else -1)
+                n_graph += 1
+                if a != b:  # the edge joins two components
+                    parent[a] = b
+                    n_components -= 1
+                else:  # it creates a loop
+                    loops = add_loop(loops, born, x, y)
+                    born += 1
+                    alive += 1
+
+            # Once all is one component and no loop is alive, compute up to which length edges can matter.
+            if alive == 0 and n_components == 1 and last < 0:
+                length = edges.lengths[e - 1]
+                last = last_of_points(tree, rows, length) if are_points(data) else last_of_matrix(data, rows, length)
+        if stop[0] != 0 or longest > greatest or (alive == 0 and 0 <= last < longest):
+            done = True
+        start = shortest
+        shortest = longest
+        longest = min(next_window(start, longest, m), beyond)
+    return loops.created[:born], loops.killed[:born], label
