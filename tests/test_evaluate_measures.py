@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 import torch
 
-from topokit.evaluate import TrueCurves, measure_forecasts
+from accuracy import TrueCurves, measure_forecasts
 from topokit.models import Forecast, StateTensors
 
 HORIZON = 4

@@ -6,11 +6,12 @@ from itertools import pairwise
 
 import numpy as np
 import pytest
+from accuracy import TrueCurves
 from scipy.spatial.distance import cdist
 from scipy.spatial.transform import Rotation
 
 from topokit import linking_number
-from topokit.evaluate import Overlap, TrueCurves, distance_to_hull, score
+from topokit.evaluate import Overlap, distance_to_hull, score
 from topokit.linking import close_far
 
 from conftest import polygon

@@ -24,6 +24,7 @@ from typing import Any
 import numpy as np
 import pandas as pd
 import torch
+from accuracy import TrueCurves, measure_forecasts
 from numpy.typing import NDArray
 from spoilt import spoil
 from tables import bootstrap, draw_episodes, draw_seeds, interval, write_results
@@ -33,7 +34,7 @@ from tqdm import tqdm
 
 import topokit
 from topokit.data import Dataset, WindowDataset
-from topokit.evaluate import TrueCurves, measure_forecasts, true_loops
+from topokit.evaluate import true_loops
 from topokit.io import save_episode
 from topokit.models import Forecast, MotionPredictor, Predictor, Shape, StateTensors, build
 

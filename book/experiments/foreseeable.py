@@ -22,6 +22,7 @@ from unittest.mock import patch
 
 import numpy as np
 import torch
+from accuracy import measure_forecasts
 from forecasts import kinds_of, of_stream, of_windows, spread_windows, true_curves
 from numpy.typing import NDArray
 from torch.utils.data import default_collate
@@ -29,7 +30,6 @@ from tqdm import tqdm
 
 from topokit.control import Carried
 from topokit.data import Dataset, WindowDataset, make_episode
-from topokit.evaluate import measure_forecasts
 from topokit.models import MotionPredictor, Normalisation, Predictor, Shape, StateTensors, build
 from topokit.sim import Randomisation, SimulationError
 from topokit.sim._episode import Run, record_afresh

@@ -21,10 +21,10 @@ import torch
 from numpy.typing import NDArray
 from torch import Tensor
 
+from topokit.evaluate import distance_to_hull
+from topokit.linking import curve_centroid
 from topokit.models import StateTensors, loop_mixtures
 from topokit.seqph import assign
-
-from ._tracking import distance_to_hull, extent
 
 Array = NDArray[np.float64]
 MOST = 2  # loops of a sample that are judged, at most: the paper's objects have one or two
@@ -92,7 +92,8 @@ class TrueCurves:
         radii = np.zeros(centres.shape[:2])
         for loop, curves in enumerate(self.curves):
             for k, curve in enumerate(curves):
-                centres[k, loop], radii[k, loop] = extent(curve)
+                centres[k, loop] = curve_centroid(curve)
+                radii[k, loop] = np.linalg.norm(curve - centres[k, loop], axis=1).max()
         return centres, radii
 
     def beside(self, loop: int, k: int, point: Array) -> float:
