@@ -5,8 +5,8 @@ from __future__ import annotations
 import numpy as np
 import pytest
 import torch
-
 from accuracy import TrueCurves, measure_forecasts
+
 from topokit.models import Forecast, StateTensors
 
 HORIZON = 4
