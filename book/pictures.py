@@ -36,7 +36,7 @@ def main() -> None:
             true_loops=episode.loops,
             **hook,
             size=(420, 620),
-            zoom=1.15,
+            zoom=0.8,
             focus=episode.points[frame].mean(axis=0) + [0, 0.06, -0.02],
         )
         for frame in FRAMES
@@ -52,7 +52,6 @@ def main() -> None:
             true_loops=episode.loops,
             **hook,
             size=(320, 400),
-            zoom=1.25,
             focus=focus,
         ).quantize(160, Image.Quantize.FASTOCTREE)
         for frame in range(0, len(episode), 3)
@@ -62,7 +61,7 @@ def main() -> None:
         HERE / "_static" / "apron.gif", save_all=True, append_images=film[1:], duration=pause, loop=0, optimize=True
     )
     garments = [make() for make in WARDROBE.values()]
-    look = {"size": (300, 340), "view": (-65, 18), "zoom": 1.0}
+    look = {"size": (300, 340), "view": (-65, 18), "zoom": 0.9}
     drawn = [_drawn(g.vertices, g.faces, rest=g.vertices, true_loops=g.loops, **look) for g in garments]
     _grid(drawn, 7).quantize(255).save(HERE / "_static" / "wardrobe.png", optimize=True)
 
@@ -89,7 +88,7 @@ def every_task(folder: Path, moments: int = 20) -> None:
                     centre_line=episode.centre_line,
                     thickness=TASKS[task].target.rods[0][2],
                     size=(200, 250),
-                    zoom=0.95,
+                    zoom=0.75,
                     focus=[x, y - 0.2, z - 0.25],
                 )
                 for frame in frames
@@ -110,7 +109,10 @@ def _drawn(points: np.ndarray, faces: np.ndarray, *, size: tuple[int, int], **lo
     """Return a picture of a cloth of so many pixels."""
     figure = Figure(figsize=(size[0] / 100, size[1] / 100), dpi=100)
     canvas = FigureCanvasAgg(figure)
-    view.plot_cloth(points, faces, ax=figure.add_axes((0.0, 0.0, 1.0, 1.0), projection="3d"), **look)
+    # Matplotlib draws in a square, so the axes are a square around the picture.
+    width, height = (max(size) / side for side in size)
+    axes = figure.add_axes(((1 - width) / 2, (1 - height) / 2, width, height), projection="3d")
+    view.plot_cloth(points, faces, ax=axes, **look)
     canvas.draw()
     return Image.fromarray(np.asarray(canvas.buffer_rgba())[..., :3].copy())
 
