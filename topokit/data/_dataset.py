@@ -116,7 +116,7 @@ class Dataset(NumberedFiles):
         """
         if name not in self._labels:
             if name not in self.label_names:
-                known = ", ".join(self.label_names) or "none: topokit label makes them"
+                known = ", ".join(self.label_names) or "none: label_dataset makes them"
                 raise FileNotFoundError(f"{self.folder} has no labels {name!r}; it has {known}")
             self._labels[name] = Labels(self.folder / "labels" / name)
         return self._labels[name]
