@@ -62,11 +62,26 @@ class Carried:
     def observe(
         self, points: ArrayLike, grippers: ArrayLike, held: bool = True, target: ArrayLike | None = None
     ) -> None:
-        """Take in the next frame; this forecaster uses the grippers alone."""
+        """Take in the next frame; this forecaster uses the grippers alone.
+
+        Parameters
+        ----------
+        points : (n, 3) array
+        grippers : (2, 3) array
+        held : bool
+        target : array, optional
+        """
         self._grippers = np.array(grippers, np.float64)
 
     def move(self, actions: ArrayLike, held: ArrayLike | None, points: ArrayLike) -> tuple[Any, Any]:
-        """Return places (C, 60, n, 3) of points (n, 3) under plans (C, 60, 2, 3), and None for their errors."""
+        """Return places (C, 60, n, 3) of points under plans, and None for their errors.
+
+        Parameters
+        ----------
+        actions : (C, 60, 2, 3) array
+        held : array, optional
+        points : (n, 3) array
+        """
         planned = np.asarray(actions, np.float64)
         yaws = _heading(planned) - _heading(self._grippers)
         middle = planned.mean(axis=-2)[..., None, :]

@@ -55,7 +55,7 @@ def label_dataset(
         Number of points to track, a farthest-point sample of an observation of vertices.
     options : mapping, optional
         Options of `topokit.SeqPH`; its defaults when not given.
-    scheduler, n_workers, progress
+    n_workers, progress
         The parameters of the same names of `generate_dataset`.
 
     Returns

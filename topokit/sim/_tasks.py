@@ -73,7 +73,14 @@ class Task:
         return cls(name, make, target, functools.partial(carry_over_tip, loop=loops[0], rest=2.0), loops)
 
     def path(self, garment: Garment, target: Target, rng: np.random.Generator) -> GripperPath:
-        """Return a path to a target where it is: the plan for it before it is placed, turned and moved with it."""
+        """Return a path to a target where it is: the plan for it before it is placed, turned and moved with it.
+
+        Parameters
+        ----------
+        garment : Garment
+        target : Target
+        rng : numpy.random.Generator
+        """
         return self.plan(garment, target.unplaced(), rng).placed(target)
 
     def off_script(self, rng: np.random.Generator) -> Task:
