@@ -30,7 +30,6 @@ from .._validate import Array, Ids
 from ._cloud import Cloud
 
 SEARCH_LIMIT = 20_000  # pairs (vertex, class) looked at before a search gives up
-_ROWS = 4_000_000  # numbers that rows of keys may take, which are kept as they are asked for again and again
 Edge = tuple[int, int]
 Time = tuple[float, int, int]  # when an edge arrives: its key (`Cloud.keys`), and its ends, the smaller one first
 NEVER: Time = (math.inf, 0, 0)
@@ -43,7 +42,8 @@ class Homology:
         self._cloud = cloud
         self._simplices = (created, killed)
         self._places: list[list[float]] = [] if cloud.is_matrix else cloud.data.tolist()
-        rows_kept = max(_ROWS // (len(cloud) + 1), 1)
+        # Rows of keys are asked for again and again: keep up to four million numbers.
+        rows_kept = max(4_000_000 // (len(cloud) + 1), 1)
         self._keys_from = lru_cache(rows_kept)(self._new_keys_from)
         self._complex_at = lru_cache(1)(self._new_complex_at)
         self._creator: dict[Edge, int] = {(a, b): loop for loop, (a, b) in enumerate(created.tolist())}
