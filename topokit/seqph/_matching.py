@@ -33,23 +33,23 @@ class Candidates:
         death = np.abs(self.death[:, None] - self.known_death)
         return birth, death
 
-    def subset(self, found: list[int], known: list[int]) -> Candidates:
+    def subset(self, rows: list[int], columns: list[int]) -> Candidates:
         """Return the input of a rule that matches only these found and these known loops.
 
         Parameters
         ----------
-        found, known : lists of int
+        rows, columns : lists of int
         """
         return Candidates(
-            birth=self.birth[found],
-            death=self.death[found],
-            places=self.places[found],
-            known_birth=self.known_birth[known],
-            known_death=self.known_death[known],
-            known_places=self.known_places[known],
-            motion=self.motion[known],
+            birth=self.birth[rows],
+            death=self.death[rows],
+            places=self.places[rows],
+            known_birth=self.known_birth[columns],
+            known_death=self.known_death[columns],
+            known_places=self.known_places[columns],
+            motion=self.motion[columns],
             alpha=self.alpha,
-            beta=self.beta[np.ix_(found, known)],
+            beta=self.beta[np.ix_(rows, columns)],
         )
 
 
