@@ -197,20 +197,18 @@ def without_episodes(folder, n):
     return dataset
 
 
-@pytest.mark.parametrize("by", ["episode", "garment"])
-def test_splits_are_parts_and_do_not_change(many, tmp_path, by):
-    parts = many.split(by, seed=1)
+def test_splits_are_parts_and_do_not_change(many, tmp_path):
+    parts = many.split(seed=1)
     assert list(parts) == ["train", "validation", "test"]
     assert (np.sort(np.concatenate(list(parts.values()))) == many.episodes).all()
-    assert all((parts[name] == again).all() for name, again in many.split(by, seed=1).items())
+    assert all((parts[name] == again).all() for name, again in many.split(seed=1).items())
     assert all(len(part) for part in parts.values())
-    assert any(len(parts[name]) != len(part) for name, part in many.split(by, seed=2).items())
-    if by == "episode":
-        assert abs(len(parts["train"]) / 2000 - 0.8) < 0.04
-        small = without_episodes(tmp_path, 500).split(by, seed=1)  # what was there before it grew stays in its part
-        assert all((small[name] == part[part < 500]).all() for name, part in parts.items())
+    assert any(len(parts[name]) != len(part) for name, part in many.split(seed=2).items())
+    assert abs(len(parts["train"]) / 2000 - 0.8) < 0.04
+    small = without_episodes(tmp_path, 500).split(seed=1)  # what was there before it grew stays in its part
+    assert all((small[name] == part[part < 500]).all() for name, part in parts.items())
     shares = {"test": 0.1, "validation": 0.1, "train": 0.8}
-    assert all((parts[name] == part).all() for name, part in many.split(by, shares, seed=1).items())
+    assert all((parts[name] == part).all() for name, part in many.split(shares, seed=1).items())
 
 
 def test_parts_have_nothing_to_do_with_what_was_drawn(many):
@@ -223,16 +221,6 @@ def test_parts_have_nothing_to_do_with_what_was_drawn(many):
 
 def garments_of(dataset, part):
     return {dataset.record(i).garment for i in part}
-
-
-def test_a_split_by_garment_deals_out_garments(many):
-    for seed in range(5):
-        worn = [garments_of(many, part) for part in many.split("garment", seed=seed).values()]
-        assert all(worn)
-        assert sum(map(len, worn)) == len(set.union(*worn)) == len(many.garments)
-    parts = many.split("garment", {"train": 9, "test": 1}, held_out=["tote", "tote2"])
-    assert garments_of(many, parts["test"]) == {"tote", "tote2"}
-    assert len(parts["train"]) + len(parts["test"]) == 2000
 
 
 def test_a_split_by_episode_may_hold_garments_out(many):
@@ -249,12 +237,9 @@ def test_a_split_by_episode_may_hold_garments_out(many):
 @pytest.mark.parametrize(
     ("options", "says"),
     [
-        ({"by": "frame"}, "by must be"),
-        ({"by": "garment", "shares": {"train": 1, "test": 0}}, "share"),
+        ({"shares": {"train": 1, "test": 0}}, "share"),
         ({"shares": {"train": 1}}, "share"),
-        ({"by": "garment", "held_out": ["kilt"]}, "kilt"),
         ({"held_out": ["kilt"]}, "kilt"),
-        ({"by": "garment", "shares": {str(i): 1 for i in range(20)}}, "garments"),
     ],
 )
 def test_a_wrong_split_is_refused(many, options, says):

@@ -12,19 +12,16 @@ from numpy.typing import NDArray
 from pydantic import Field
 
 from topokit._config import checked
-from topokit._validate import whole
 from topokit.io import EPISODE_KIND, Episode, load_episode, states_of
 from topokit.seqph import TopologicalState
 
-from ._folder import MOST_EPISODES, NotNegative, NumberedFiles, read_settings
+from ._folder import NotNegative, NumberedFiles, read_settings
 from ._labels import ABOUT as ABOUT_LABELS
 from ._labels import Labels
 from ._recipe import DatasetConfig
 
 ABOUT = "dataset.json"
 Ids = NDArray[np.int64]
-_PARTS = {"train": 0.8, "validation": 0.1, "test": 0.1}
-_FIRST_AND_LAST = {"train": -1, "test": 1}  # of a split; what is between them has the order of the alphabet
 
 
 @checked
@@ -34,7 +31,7 @@ class DatasetSettings:
     schema: Literal[2]
     config: DatasetConfig
     seed: NotNegative
-    episodes: Annotated[int, Field(ge=1, le=MOST_EPISODES)]  #: number of episodes
+    episodes: Annotated[int, Field(ge=1)]  #: number of episodes
     versions: Mapping[str, str]  #: versions of the packages on which bytes depend
     #: numbers of the episodes, for a part of a dataset; all of them when not given
     numbers: tuple[NotNegative, ...] | None = None
@@ -116,7 +113,7 @@ class Dataset(NumberedFiles):
         """
         if name not in self._labels:
             if name not in self.label_names:
-                known = ", ".join(self.label_names) or "none: label_dataset makes them"
+                known = ", ".join(self.label_names) or "none: topokit.data.label_dataset makes them"
                 raise FileNotFoundError(f"{self.folder} has no labels {name!r}; it has {known}")
             self._labels[name] = Labels(self.folder / "labels" / name)
         return self._labels[name]
@@ -142,58 +139,37 @@ class Dataset(NumberedFiles):
         return states_of(labels.arrays(episode, cloud), cloud, film.times)
 
     def split(
-        self, by: str = "episode", shares: Mapping[str, float] = _PARTS, *, seed: int = 0, held_out: Sequence[str] = ()
+        self, shares: Mapping[str, float] | None = None, *, seed: int = 0, held_out: Sequence[str] = ()
     ) -> dict[str, Ids]:
         """Divide the numbers of the episodes into parts, never within an episode: neighbouring frames are nearly the same.
 
+        Each episode is drawn on its own: the shares hold approximately, and no episode changes its part when the dataset grows.
         Parts are cut in one order, however `shares` names them: "train" first, "test" last, others between them by name.
 
         Parameters
         ----------
-        by : {"episode", "garment"}
-            Unit of the split. By episode each is drawn on its own: the shares hold approximately, and no episode changes
-            its part when the dataset grows. By garment every part gets whole garments, at least one.
-        shares : mapping of str to float
-            Parts and their shares.
+        shares : mapping of str to float, optional
+            Parts and their shares; "train" .8, "validation" .1 and "test" .1 when not given.
         seed : int
         held_out : sequence of str
-            Garments of the last part, for example ``["apron", "apron2"]``, which are alike. By garment the last part has no
-            others. By episode it also gets its share of all other episodes, and the other parts share the same garments.
+            Garments of the last part alone, for example ``["apron", "apron2"]``, which are alike.
 
         Raises
         ------
         ValueError
-            When `by` is unknown, a share is not positive, or garments are unknown or too few.
+            When a share is not positive, or a garment is unknown.
         """
-        whole(seed, "seed")
-        names = sorted(shares, key=lambda name: (_FIRST_AND_LAST.get(name, 0), name))
+        shares = shares or {"train": 0.8, "validation": 0.1, "test": 0.1}
+        names = sorted(shares, key=lambda name: ({"train": -1, "test": 1}.get(name, 0), name))
         weights = np.array([shares[name] for name in names], dtype=np.float64)
-        if len(names) < 2 or not (weights > 0).all() or not np.isfinite(weights).all():
+        if len(names) < 2 or not (weights > 0).all():
             raise ValueError(f"shares must give two parts or more a positive share each, not {dict(shares)}")
         unknown = sorted(set(held_out) - set(self.garments))
         if unknown:
             raise ValueError(f"held_out: no garment {', '.join(unknown)}; there are {', '.join(self.garments)}")
-        if by == "garment":
-            owner = self._owners(weights, seed, held_out)
-            part = np.array([owner[self.record(i).garment] for i in self.episodes], dtype=np.int64)
-        elif by != "episode":
-            raise ValueError(f"by must be 'episode' or 'garment', not {by!r}")
-        else:
-            # Not the stream (seed, i) that episode i was made from: its first draw is the task.
-            keys = [np.random.SeedSequence(seed, spawn_key=(int(i), 1)) for i in self.episodes]
-            draws = [np.random.default_rng(key).random() for key in keys]
-            part = np.searchsorted(np.cumsum(weights / weights.sum())[:-1], draws, side="right")
-            part[[self.record(i).garment in held_out for i in self.episodes]] = len(names) - 1
+        # Not the stream (seed, i) that episode i was made from: its first draw is the task.
+        keys = [np.random.SeedSequence(seed, spawn_key=(int(i), 1)) for i in self.episodes]
+        draws = [np.random.default_rng(key).random() for key in keys]
+        part = np.searchsorted(np.cumsum(weights / weights.sum())[:-1], draws, side="right")
+        part[[self.record(i).garment in held_out for i in self.episodes]] = len(names) - 1
         return {name: self.episodes[part == k] for k, name in enumerate(names)}
-
-    def _owners(self, weights: NDArray[np.float64], seed: int, held_out: Sequence[str]) -> dict[str, int]:
-        """Return the part of each garment."""
-        rest = [g for g in np.random.default_rng(seed).permutation(self.garments).tolist() if g not in held_out]
-        parts = len(weights) - bool(held_out)
-        if len(rest) < parts:
-            raise ValueError(f"{len(rest)} garments cannot be dealt out to {parts} parts")
-        shares = (weights / weights.sum())[:parts]
-        free = len(rest) - parts  # garments beyond the one that every part gets
-        ends = np.rint(np.cumsum(shares / shares.sum()) * free).astype(int) + np.arange(1, parts + 1)
-        owner = {garment: int(np.searchsorted(ends, place, side="right")) for place, garment in enumerate(rest)}
-        return {**owner, **dict.fromkeys(held_out, len(weights) - 1)}

@@ -33,8 +33,6 @@ from topokit._archive import FormatError, atomic_file, existing, load_header
 from topokit._config import checked, from_mapping
 from topokit._validate import whole
 
-MOST_EPISODES = 100_000_000  # a file's name has eight digits
-_NUMBERED = re.compile(r"([0-9]{8})\.(npz|json)")
 NotNegative = Annotated[int, Field(ge=0)]
 
 
@@ -42,7 +40,7 @@ NotNegative = Annotated[int, Field(ge=0)]
 class Record:
     """A summary of an episode."""
 
-    episode: Annotated[int, Field(ge=0, lt=MOST_EPISODES)]
+    episode: NotNegative
     #: result: ok (there is a file), rejected (it was not physical) or failed (it could not be made)
     status: Literal["ok", "rejected", "failed"]
     reason: str = ""  #: reason of a status other than ok
@@ -160,7 +158,7 @@ class NumberedFiles:
 
 def number_of(name: str) -> int | None:
     """Return the number of the episode that a file is named after; None for any other file."""
-    match = _NUMBERED.fullmatch(name)
+    match = re.fullmatch(r"([0-9]{8})\.(npz|json)", name)
     return int(match[1]) if match else None
 
 
@@ -234,10 +232,3 @@ def versions_of(*packages: str) -> dict[str, str]:
     """Return the versions on which bytes may depend."""
     ours = {"machine": platform.machine(), "topokit": __version__, "zlib": zlib.ZLIB_RUNTIME_VERSION}
     return ours | {package: version(package) for package in packages}
-
-
-def refuse_other_versions(folder: Path, versions: Mapping[str, str]) -> None:
-    """Raise ValueError when this process has other versions than a folder was begun with."""
-    _refuse_other(
-        dict(versions), versions_of(*versions.keys() - {"machine", "topokit", "zlib"}), str(folder), "versions"
-    )

@@ -16,18 +16,9 @@ from topokit.io import save_episode
 from topokit.sim import SimulationError
 
 from ._dataset import ABOUT, Dataset
-from ._folder import (
-    archive_path,
-    begin,
-    failure_path,
-    refuse_other_versions,
-    versions_of,
-    write_json,
-)
+from ._folder import archive_path, begin, failure_path, versions_of, write_json
 from ._jobs import make_files
 from ._recipe import DatasetConfig, make_episode, task_of
-
-_PACKAGES = ("numpy", "scipy", "pybullet")  # the versions of these are recorded, since the bytes depend on them
 
 
 def generate_dataset(
@@ -38,7 +29,6 @@ def generate_dataset(
     *,
     n_workers: int | None = None,
     time_limit: float = 600.0,
-    retry_failed: bool = False,
     progress: bool = True,
 ) -> Dataset:
     """Make the dataset of a configuration and a seed in a folder, or go on with one that was begun.
@@ -59,8 +49,6 @@ def generate_dataset(
         Number of processes on this machine; one for each core when not given.
     time_limit : float
         Seconds after which the simulation of an episode is stopped and tried again.
-    retry_failed : bool
-        Try the episodes again that were recorded as failed.
     progress : bool
         Show a progress bar with the time left on stderr.
 
@@ -91,14 +79,8 @@ def generate_dataset(
     # Begin the folder, or check that it was begun with the same configuration, seed and versions.
     folder = Path(out)
     about = {"schema": 2, "config": config.to_json(), "seed": seed, "episodes": episodes}
-    begin(folder, ABOUT, {**about, "versions": versions_of(*_PACKAGES)})
+    begin(folder, ABOUT, {**about, "versions": versions_of("numpy", "scipy", "pybullet")})
     dataset = Dataset(folder)
-    # Forget the failures that are to be tried again.
-    if retry_failed:
-        for record in dataset.failures:
-            if record.status == "failed":
-                failure_path(folder, record.episode).unlink()
-        dataset = Dataset(folder)
     # Make the episodes that are missing.
     missing = [number for number in range(episodes) if not dataset.is_done(number)]
     job = partial(_make_file, str(folder))
@@ -109,11 +91,10 @@ def generate_dataset(
 def _make_file(folder: str, number: int) -> str:
     """Simulate an episode and write its file, or a record of its failure; return the status.
 
-    This runs in a fresh process. Errors that are no fault of the episode (a full disk, a changed mesh, other versions) are
-    raised, and stop the whole command.
+    This runs in a fresh process. Errors that are no fault of the episode, such as a full disk, are raised, and stop the
+    whole command.
     """
     dataset = Dataset(folder)
-    refuse_other_versions(dataset.folder, dataset.settings.versions)
     description = _describe(dataset, number)
     try:
         episode = make_episode(dataset.config, dataset.seed, number, time_limit=None)

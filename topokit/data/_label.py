@@ -21,12 +21,9 @@ from topokit.io import state_arrays
 from topokit.seqph import SeqPH, track
 
 from ._dataset import Dataset
-from ._folder import archive_path, begin, failure_path, refuse_other_versions, versions_of, write_json
+from ._folder import archive_path, begin, failure_path, versions_of, write_json
 from ._jobs import make_files
 from ._labels import ABOUT, KIND, Labels, LabelSettings
-
-_OBSERVATIONS = ("full", "observed", "camera")
-_PACKAGES = ("numpy", "scipy")
 
 
 def label_dataset(
@@ -77,8 +74,6 @@ def label_dataset(
     if not re.fullmatch(r"[A-Za-z0-9][A-Za-z0-9._-]*", name):
         raise ValueError(f"name {name!r} of labels: letters, digits, dots, hyphens and underscores only")
     target = dataset.folder / "labels" / name
-    if not target.resolve().is_relative_to(dataset.folder.resolve()):
-        raise ValueError(f"{target}: a link leads out of the dataset, and labels are written into it alone")
     begin(target, ABOUT, dataclasses.asdict(settings))
     labels = Labels(target)
     missing = [number for number in dataset.episodes.tolist() if not labels.is_done(number)]
@@ -90,15 +85,15 @@ def label_dataset(
 def _settings(dataset: Dataset, observation: str, n_points: int | None, options: Mapping[str, Any]) -> LabelSettings:
     """Return the settings of the labels; raise ValueError when the dataset does not allow them."""
     cameras = dataset.config.cameras
-    if observation not in _OBSERVATIONS:
-        raise ValueError(f"observation must be one of {', '.join(_OBSERVATIONS)}, not {observation!r}")
+    if observation not in ("full", "observed", "camera"):
+        raise ValueError(f"observation must be full, observed or camera, not {observation!r}")
     if observation == "camera" and not cameras:
         raise ValueError(f"{dataset.folder} was made without cameras: label `observed`")
     if n_points is not None and (observation != "observed" or cameras or n_points < 4):
         raise ValueError(
             f"n_points must be a number of points, at least 4, of an observation of vertices, not {n_points}"
         )
-    return LabelSettings(2, observation, n_points, _all_options(options), versions_of(*_PACKAGES))  # type: ignore[arg-type]
+    return LabelSettings(2, observation, n_points, _all_options(options), versions_of("numpy", "scipy"))  # type: ignore[arg-type]
 
 
 def _all_options(options: Mapping[str, Any]) -> dict[str, Any]:
@@ -114,7 +109,6 @@ def _label_episode(folder: str, name: str, number: int) -> str:
     """Track an episode in a fresh process and write its labels; return the status."""
     dataset = Dataset(folder)
     labels = dataset.labels(name)
-    refuse_other_versions(labels.folder, labels.settings.versions)
     described = _describe(dataset, number)
     episode = dataset[number]
     try:
