@@ -34,6 +34,12 @@ def test_a_missing_coordinate_is_named_by_its_row(call):
 
 
 @pytest.mark.parametrize("call", [tk.rips_persistence, lambda cloud: tk.track([cloud])])
+def test_a_number_under_a_mask_is_not_used(call):
+    with pytest.raises(ValueError, match="masked"):
+        call(np.ma.masked_greater(RING, 0.19))
+
+
+@pytest.mark.parametrize("call", [tk.rips_persistence, lambda cloud: tk.track([cloud])])
 def test_a_transposed_cloud_is_recognised(call):
     with pytest.raises(ValueError, match=r"\.T"):
         call(RING.T)

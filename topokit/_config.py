@@ -85,21 +85,13 @@ def load(kind: type[T], path: str | Path) -> T:
 
 def _first_fault(error: ValidationError, kind: Any) -> str:
     """Return the first thing that is wrong, in a line; an unknown name comes before a missing one."""
-    known = [entry.name for entry in fields(kind)]
     faults = error.errors(include_url=False)
     unknown = [fault for fault in faults if fault["type"] == "unexpected_keyword_argument"]
     fault = (unknown or faults)[0]
-
-    # The place of the fault, as "simulation.dt"; arguments that were given by position get their names.
-    head, *rest = fault["loc"] or ("",)
-    if isinstance(head, int) and head < len(known):
-        head = known[head]
-    place = ".".join(map(str, (head, *rest)))
-
+    place = ".".join(map(str, fault["loc"]))
     if unknown:
-        if rest:
-            return f"there is no {place!r}"
-        return f"there is no {place!r}; there are {', '.join(known)}"
+        known = ", ".join(entry.name for entry in fields(kind))
+        return f"there is no {place!r}" + ("" if "." in place else f"; there are {known}")
     if fault["type"] == "missing":
         return f"{place!r} is missing"
     message = fault["msg"].removeprefix("Value error, ")

@@ -16,7 +16,9 @@ class WrongKindError(TypeError, ValueError):
 
 
 def as_reals(values: Any, name: str) -> NDArray[Any]:
-    """Return an array of real numbers."""
+    """Return an array of real numbers; a masked entry is an error, because NumPy would use the number under the mask."""
+    if np.ma.is_masked(values):
+        raise ValueError(f"{name} has masked entries: leave them out, or give {name}.filled(value)")
     array = np.asarray(values)
     if array.dtype.kind not in "biuf":
         raise WrongKindError(f"{name} must hold real numbers, not {array.dtype}")

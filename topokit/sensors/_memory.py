@@ -32,10 +32,8 @@ _WITHIN = np.array([[1 / 3] * 3, *(np.eye(3) + 1) / 4, *(3 * np.eye(3) + 1) / 6]
 class CloudMemory:
     """The cloud of a depth camera together with remembered points, one call a frame. Use a new memory for each film.
 
-    Remembered points move with the mean of the points in sight, since one side of a cloth shows little of the other's motion.
-    So the cloth should stay in the picture, and objects in front of it should be given as `around`. Otherwise points that
-    are hidden, or have left, look like motion. Clouds should be evenly sampled (`Cleaner` with a voxel, or farthest points).
-    When every frame is a new random sample, the points of many frames pile up.
+    Remembered points move with the mean of the points in sight. So the cloth should stay in the picture, and objects in front of
+    it should be given as `around`. Clouds should be evenly sampled (`Cleaner` with a voxel, or farthest points).
 
     Parameters
     ----------
