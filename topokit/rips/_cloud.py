@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import warnings
 from dataclasses import dataclass
 
 import numpy as np
@@ -28,7 +29,13 @@ class Cloud:
             matrix = as_reals(points, "points").astype(np.float64)
             _check_distances(matrix)
             return cls(matrix, True)
-        return cls.of_points(as_points(points, copy=True))
+        cloud = as_points(points, copy=True)
+        if len(cloud) == cloud.shape[1] > 3 and not np.diag(cloud).any() and (cloud == cloud.T).all():
+            question = (
+                'points are a symmetric matrix with a zero diagonal: if they are distances, give metric="precomputed"'
+            )
+            warnings.warn(question, stacklevel=3)
+        return cls.of_points(cloud)
 
     @classmethod
     def of_points(cls, points: Array) -> Cloud:
