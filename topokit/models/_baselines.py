@@ -7,44 +7,36 @@ from __future__ import annotations
 
 import dataclasses
 from abc import ABC, abstractmethod
-from collections import defaultdict
-from collections.abc import Iterable, Sequence
-from typing import Annotated
+from collections.abc import Iterable
 
-import numpy as np
 import torch
-from pydantic import Field
 from torch import Tensor, nn
 
-from topokit._config import checked
-from topokit._validate import positive
+from topokit._config import Count, Place, Positive, checked
 from topokit.io import HISTORY, HORIZON
-from topokit.seqph import TopologicalState
 
-from ._states import NOISE, NUMBERS, PAST, StateTensors, Window
+from ._states import NOISE, NUMBERS, StateTensors, Window
 
 Context = dict[str, Tensor]
-_Place = Annotated[float, Field(ge=-1e6, le=1e6)]
-_Size = Annotated[float, Field(ge=1e-6, le=1e6)]  # models divide by it, in 32 bits
 
 
 @checked
 class Shape:
     """Sizes of a window."""
 
-    history: Annotated[int, Field(ge=1, le=1000)] = HISTORY  #: frames that are observed
-    horizon: Annotated[int, Field(ge=1, le=1000)] = HORIZON  #: frames that are forecast
-    points: Annotated[int, Field(ge=1, le=100_000)] = 128  #: of a cloud
-    slots: Annotated[int, Field(ge=1, le=32)] = 4  #: loops that are forecast at most
+    history: Count = HISTORY  #: frames that are observed
+    horizon: Count = HORIZON  #: frames that are forecast
+    points: Count = 128  #: of a cloud
+    slots: Count = 4  #: loops that are forecast at most
 
 
 @checked
 class Normalisation:
     """Means and scales of coordinates and filtration values in the training split; models see (x - origin) / scale."""
 
-    origin: tuple[_Place, _Place, _Place] = (0.0, 0.0, 1.0)  #: mean of the clouds, metres
-    scale: _Size = 0.2  #: root mean square distance from it along an axis, metres
-    value: _Size = 0.05  #: mean death of the loops, metres
+    origin: Place = (0.0, 0.0, 1.0)  #: mean of the clouds, metres
+    scale: Positive = 0.2  #: root mean square distance from it along an axis, metres
+    value: Positive = 0.05  #: mean death of the loops, metres
 
 
 class PredictiveModel(nn.Module, ABC):
@@ -61,7 +53,7 @@ class PredictiveModel(nn.Module, ABC):
 
     learns = True  # by gradient descent
     inputs: tuple[str, ...] = ("clouds",)  # entries of a window that are read of each frame of its history
-    tracked = False  # whether `gather` also gets the states of a tracker: the entries `PAST` of all frames
+    tracked = False  # whether `gather` also gets the states of a tracker
 
     def __init__(self, shape: Shape, normalisation: Normalisation) -> None:
         super().__init__()
@@ -76,8 +68,8 @@ class PredictiveModel(nn.Module, ABC):
         return frames
 
     @abstractmethod
-    def gather(self, kept: Context) -> Context:
-        """Return the context of a forecast from the frames kept and the tracked states, (B, history, ...), newest first."""
+    def gather(self, kept: Context, past: StateTensors | None) -> Context:
+        """Return the context of a forecast from encoded frames and tracked states, (B, history, ...), newest first."""
 
     @abstractmethod
     def decode(self, context: Context, actions: Tensor, held: Tensor) -> StateTensors:
@@ -98,9 +90,10 @@ class PredictiveModel(nn.Module, ABC):
         sizes = next(iter(frames.values())).shape[:2]
         kept = self.encode_frames({name: part.flatten(0, 1) for name, part in frames.items()})
         kept = {name: part.unflatten(0, sizes) for name, part in kept.items()}
+        past = None
         if self.tracked:
-            kept |= {name: window[name].flip(1) for name in PAST}
-        return self.gather(kept)
+            past = StateTensors.from_past(window).map(lambda part: part.flip(1))
+        return self.gather(kept, past)
 
     def forward(self, window: Window) -> StateTensors:
         """Return the predicted states of a batch of windows."""
@@ -125,7 +118,7 @@ class PredictiveModel(nn.Module, ABC):
         )
 
     def _positive(self, raw: Tensor) -> Tensor:
-        """Return values that are positive whatever the network's output is, at half the cost of a softplus."""
+        """Return values that are positive whatever the network's output is; the checkpoints were trained with this function."""
         return self.normalisation.value / 2 * (raw + (raw.square() + 1).sqrt())
 
 
@@ -136,14 +129,15 @@ class Hold(PredictiveModel):
     inputs = ("grippers",)
     tracked = True
 
-    def gather(self, kept: Context) -> Context:
+    def gather(self, kept: Context, past: StateTensors | None) -> Context:
         """Return each slot as it was last tracked, and the grippers then; one never tracked is between the present grippers."""
-        present = kept["past_present"]  # (B, h, slots), the newest frame first
+        assert past is not None
+        present = past.presence > 0  # (B, h, slots), the newest frame first
         known = present.any(dim=1)  # (B, slots)
         last = present.int().argmax(dim=1)  # (B, slots); 0 of one that was never tracked
         batch = torch.arange(len(last))[:, None]
         slot = torch.arange(last.shape[1])
-        loops = StateTensors.from_past({name: kept[name][batch, last, slot] for name in PAST})  # (B, slots)
+        loops = past[batch, last, slot]  # (B, slots)
         grippers = kept["grippers"][:, 0]
         corners = torch.where(known[..., None, None], loops.corners, grippers.mean(dim=1)[:, None, None])
         loops = loops.replace(corners=corners, presence=torch.where(present[:, 0], 6.0, -6.0))
@@ -204,7 +198,7 @@ class Blind(PredictiveModel):
         super().__init__(shape, normalisation)
         self.height = float(height)
 
-    def gather(self, kept: Context) -> Context:
+    def gather(self, kept: Context, past: StateTensors | None) -> Context:
         """Return nothing: the forecast depends on the plan alone."""
         return {}
 
@@ -225,7 +219,7 @@ class Ridge(Hold):
 
     def __init__(self, shape: Shape, normalisation: Normalisation, penalty: float = 100.0) -> None:
         super().__init__(shape, normalisation)
-        self.penalty = positive(penalty, "penalty", zero=False)
+        self.penalty = penalty
         inputs = 1 + 24 + 4 + 4 + 9 + 7 * shape.horizon + shape.slots
         self.coefficients = nn.Parameter(torch.zeros(inputs, shape.horizon * NUMBERS), requires_grad=False)
 
@@ -291,37 +285,3 @@ class Ridge(Hold):
         flags = torch.stack([kept["known"].to(values), (kept["presence"] > 0).to(values)], dim=-1)
         slot = torch.eye(self.shape.slots).to(plan).expand(len(plan), -1, -1)
         return torch.cat([shared, corners, kept["neighbour_values"] / value, values, flags, slot], dim=-1)
-
-
-def past_window(states: Sequence[TopologicalState], slots: int) -> dict[str, Tensor]:
-    """Return the `past_` entries of a window (1, h, ...) from tracked states; the slots are the longest-lived loops."""
-    # Slots by mean lifetime over the history, longest first.
-    total: defaultdict[int, float] = defaultdict(float)
-    for state in states:
-        for loop in state.loops:
-            total[loop.id] += loop.lifetime
-    longest = sorted(total, key=total.__getitem__, reverse=True)[:slots]
-
-    kind = [
-        ("triangles", np.float32, (6, 3, 3)),
-        ("values", np.float32, 6),
-        ("birth", np.float32),
-        ("death", np.float32),
-        ("killer_shift", np.float32),
-        ("present", bool),
-    ]
-    past = np.zeros((len(states), slots), np.dtype(kind))
-    for frame, state in enumerate(states):
-        for loop in state.loops:
-            if loop.id not in longest:
-                continue
-            row = past[frame, longest.index(loop.id)]
-            n = 2 + len(loop.neighbours)
-            row["triangles"] = loop.killer_triangles[0]  # stands for neighbours that are absent
-            row["triangles"][:n] = np.concatenate([loop.killer_triangles, loop.neighbours])
-            row["values"][:n] = np.concatenate([loop.killer_values, loop.neighbour_values])
-            row["birth"] = loop.birth
-            row["death"] = loop.death
-            row["killer_shift"] = np.nan_to_num(loop.killer_shift)
-            row["present"] = True
-    return {name: torch.from_numpy(past[name.removeprefix("past_")].copy())[None] for name in PAST}

@@ -2,42 +2,16 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
 from dataclasses import asdict, field, replace
 from pathlib import Path
-from typing import Annotated, Any, Literal, NamedTuple
+from typing import Any, NamedTuple
 
-import torch
-from pydantic import ConfigDict, Field, with_config
 from torch.utils.data import ConcatDataset, Subset
-from typing_extensions import TypedDict
 
 from topokit._config import Count, NotNegative, Positive, checked, load
 
 from ._baselines import Shape
 from ._checkpoint import MODELS
-from ._states import LossWeights
-
-Natural = Annotated[int, Field(ge=0)]
-_STRICT = ConfigDict(extra="forbid", strict=True, allow_inf_nan=False)
-
-
-@with_config(_STRICT)
-class WindowOptions(TypedDict, total=False):
-    """Keyword arguments of `topokit.data.WindowDataset` that a configuration may hold."""
-
-    labels: str
-    stride: Count
-
-
-@with_config(_STRICT)
-class SplitOptions(TypedDict, total=False):
-    """Keyword arguments of `topokit.data.Dataset.split`."""
-
-    by: Literal["episode", "garment"]
-    shares: dict[str, Positive]
-    seed: Natural
-    held_out: Sequence[str]
 
 
 class Windows(NamedTuple):
@@ -59,18 +33,16 @@ class TrainConfig:
     rehearse: str = ""
     options: dict[str, Any] = field(default_factory=dict)  #: keyword arguments of the model
     #: Keyword arguments of `topokit.data.WindowDataset`: labels, stride; of a motion model stride alone.
-    windows: WindowOptions = field(default_factory=WindowOptions)
+    windows: dict[str, Any] = field(default_factory=dict)
     shape: Shape = field(default_factory=Shape)  #: sizes of a window
-    loss: LossWeights = field(default_factory=LossWeights)  #: weights of the loss
+    loss: dict[str, Any] = field(default_factory=dict)  #: keyword arguments of `topokit.models.forecast_loss`
     #: Keyword arguments of `topokit.data.Dataset.split`, whose "train" and "validation" are read.
-    split: SplitOptions = field(default_factory=SplitOptions)
-    seed: Natural = 0  #: seed of the weights and of the order of windows
+    split: dict[str, Any] = field(default_factory=dict)
+    seed: int = 0  #: seed of the weights and of the order of windows
     batch: Count = 64  #: number of windows in a step
     epochs: Count = 20  #: largest number of epochs
     #: Number of windows in an epoch, drawn anew for each; all windows when not given.
     windows_per_epoch: Count | None = None
-    #: Number of windows in a row that stay together in the order of an epoch. A PointNet encodes the clouds that they share once.
-    together: Count = 1
     validation_windows: Count = 2000  #: largest number of windows for validation, the same in every epoch
     #: Learning rate of AdamW. It rises over the first 2 % of steps, and falls along a cosine to a hundredth.
     learning_rate: Positive = 1e-3
@@ -78,16 +50,11 @@ class TrainConfig:
     clip: Positive = 1.0  #: largest norm of a gradient
     patience: Count = 5  #: number of epochs without a smaller validation loss after which training stops
     threads: Count = 2  #: threads of PyTorch; with another number the weights differ in their last bits
-    workers: Natural = 0  #: number of processes that read windows, besides the training process
-    accelerator: str = "cpu"  #: accelerator of Lightning Fabric: "cpu", "cuda", "auto"
-    precision: str = "32-true"  #: precision of Lightning Fabric: "32-true", "bf16-mixed", "16-mixed"
+    workers: int = 0  #: number of processes that read windows, besides the training process
 
     def __post_init__(self) -> None:
         if self.model not in MODELS:
             raise ValueError(f"model must be one of {', '.join(MODELS)}, not {self.model!r}")
-        for name in self.windows:
-            if self.model == "motion" and name != "stride":
-                raise ValueError(f"windows.{name}: a motion model has windows of the whole cloth: give stride alone")
 
     @classmethod
     def load(cls, path: str | Path) -> TrainConfig:
@@ -131,8 +98,6 @@ class TrainConfig:
     def _open_with_rehearsal(self) -> Windows:
         """Open the windows of this configuration, and at most as many of the one that is rehearsed."""
         earlier = TrainConfig.load(self.rehearse)
-        if earlier.rehearse:
-            raise ValueError(f"{self.rehearse}: cannot be rehearsed, it rehearses another one itself")
         for name in ("model", "shape", "windows"):
             if getattr(earlier, name) != getattr(self, name):
                 raise ValueError(f"{self.rehearse}: cannot be rehearsed, its {name} differs from the configuration's")
@@ -140,17 +105,6 @@ class TrainConfig:
         old = earlier.open_windows()
         repeated: Any = Subset(old.train, spread(len(old.train), len(new.train)))
         return Windows(ConcatDataset([new.train, repeated]), new.validation, new.checksum + old.checksum)
-
-
-def epoch_order(n: int, count: int | None, seed: int, epoch: int, together: int = 1) -> list[int]:
-    """Return `count` of n windows, or all, in an order that depends only on seed and epoch, `together` of them in a row."""
-    generator = torch.Generator().manual_seed(seed * 1_000_003 + epoch)
-    first = together * torch.randperm(-(-n // together), generator=generator)
-    # Rows begin at another window in each epoch. The first window follows on the last.
-    start = torch.randint(together, (), generator=generator)
-    order = (first[:, None] + torch.arange(together)).flatten()
-    order = order[order < n]
-    return ((order + start) % n)[:count].tolist()
 
 
 def spread(n: int, most: int) -> list[int]:

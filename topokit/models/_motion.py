@@ -33,31 +33,7 @@ KNOTS = (1, 3, 6, 10, 15, 20, 25, 30, 36, 42, 48, 54, 60)  # frames ahead at whi
 PAST = (1, 4, 12)  # frames ago whose clouds and grippers are inputs
 UNIT = 0.2  # metres; lengths in the network are in this unit
 CARRIERS = 24  # points whose codes are pooled for all others
-_POOLED = 16  # numbers of a carrier's code that are pooled
-_NEIGHBOURS = 12  # neighbours of a point
-_REACH = 0.3 / UNIT  # distance over which target and floor fade
-PARTS = ("target", "frame", "carry")  # that an ablation leaves out
 Scene = Mapping[str, Tensor]
-
-
-class Line(NamedTuple):
-    """The L pieces of a line, prepared so that the nearest of them is found by matrix products."""
-
-    start: Tensor  # (B, L, 3)
-    along: Tensor  # (B, L, 3) from the start of a piece to its end
-    square: Tensor  # (B, 1, L) squared lengths of the pieces
-    base: Tensor  # (B, 1, L) minus the scalar products of `start` and `along`
-    first: Tensor  # (B, 1, L) squares of the starts
-
-    @classmethod
-    def of(cls, places: Tensor) -> Line:
-        """Return the pieces between places (B, L + 1, 3)."""
-        start = places[:, :-1]
-        along = places.diff(dim=1)
-        square = along.square().sum(dim=-1)[:, None].clamp_min(1e-9 / UNIT**2)
-        base = (-start * along).sum(dim=-1)[:, None]
-        first = start.square().sum(dim=-1)[:, None]
-        return cls(start, along, square, base, first)
 
 
 class Codes(NamedTuple):
@@ -66,7 +42,7 @@ class Codes(NamedTuple):
     code: Tensor  # (B, carriers + n, width)
     place: Tensor  # (B, carriers + n, 3)
     hands: Tensor  # (B, 2, 3)
-    target: Line
+    target: Tensor  # (B, L, 3) places along a line
     floor: Tensor  # (B,) height of the floor in that frame
     origin: Tensor  # (B, 3) origin of that frame, metres
     axes: Tensor  # (B, 3, 3) axes of that frame
@@ -108,10 +84,6 @@ class Motion(nn.Module):
         self, shape: Shape, normalisation: Normalisation, width: int = 64, without: Sequence[str] = ()
     ) -> None:
         super().__init__()
-        if isinstance(without, str) or not set(without) <= set(PARTS):
-            raise ValueError(f"without names parts to leave out, some of {', '.join(PARTS)}, not {without!r:.80}")
-        if type(width) is not int or not 1 <= width <= 4096:
-            raise ValueError(f"width must be a whole number from 1 to 4096, not {width!r}")
         if shape.horizon != KNOTS[-1]:
             raise ValueError(f"motion is forecast {KNOTS[-1]} frames ahead, not {shape.horizon}")
         self.shape = shape
@@ -126,9 +98,9 @@ class Motion(nn.Module):
         self.flow = nn.Linear(9, width)
         self.mix = nn.Linear(5 * width, width)
         # The inputs of a step: of the point itself, of the plan and the carriers, of the code before.
-        self.pool = nn.Linear(width, _POOLED)
+        self.pool = nn.Linear(width, 16)
         self.own = nn.Linear(6 + 5 + 2 + 3 + 3, 3 * width)
-        self.scene = nn.Linear(6 + 2 + 16 + 2 * _POOLED, 3 * width)
+        self.scene = nn.Linear(6 + 2 + 16 + 2 * 16, 3 * width)
         self.before = nn.Linear(width, 3 * width)
         self.out = nn.Sequential(nn.Linear(width, width), nn.GELU(), nn.Linear(width, 4))
         # An untrained network predicts that the cloth is carried.
@@ -163,7 +135,7 @@ class Motion(nn.Module):
         cloud = _local(scene["cloud"], origin, axes)  # (B, M, 3)
         points = _local(scene["points"], origin, axes)  # (B, n, 3)
         hands = _local(grippers, origin, axes)  # (B, 4, 2, 3)
-        target = Line.of(_local(scene["target"], origin, axes))
+        target = _local(scene["target"], origin, axes)
         floor = (scene["floor"] - origin[:, 2]) / UNIT  # (B,)
         seen = torch.cat([cloud, points], dim=1)  # (B, M + n, 3)
         flow = (2 / UNIT * scene["flow"].flatten(1, 2) @ axes.mT).view(len(cloud), -1, 9)  # (B, M + n, 9)
@@ -189,22 +161,18 @@ class Motion(nn.Module):
         asked = torch.cat([torch.arange(carriers), torch.arange(size, seen.shape[1])])
         own = code[:, asked]  # (B, carriers + n, width)
         place = seen[:, asked]  # (B, carriers + n, 3)
-        near = torch.cdist(place, cloud).topk(min(_NEIGHBOURS, size), largest=False).indices
+        near = torch.cdist(place, cloud).topk(min(12, size), largest=False).indices
         batch = torch.arange(len(cloud), device=cloud.device)[:, None, None]
         offset = 2 * (cloud[batch, near] - place[:, :, None])  # (B, carriers + n, neighbours, 3)
         offset = torch.cat([offset, offset.norm(dim=-1, keepdim=True)], dim=-1)
-        edges = self._edges(own, code[:, :size], batch, near, offset)
-        moved = self.flow(flow[batch, near].mean(dim=2))  # (B, carriers + n, width)
         cloth = code[:, :size]
+        mine = own[:, :, None].expand(-1, -1, near.shape[2], -1)
+        edges = self.edge(torch.cat([mine, cloth[batch, near], offset], dim=-1)).amax(dim=2)  # (B, carriers + n, width)
+        moved = self.flow(flow[batch, near].mean(dim=2))  # (B, carriers + n, width)
         mean = cloth.mean(dim=1)[:, None].expand_as(own)
         highest = cloth.amax(dim=1)[:, None].expand_as(own)
         code = torch.tanh(self.mix(torch.cat([own, edges, moved, mean, highest], dim=-1)))
         return Codes(code, place, hands[:, 0], target, floor, origin, axes, carriers, swapped)
-
-    def _edges(self, own: Tensor, cloth: Tensor, batch: Tensor, near: Tensor, offset: Tensor) -> Tensor:
-        """Return the maximum (B, N, width) over neighbours of the edge network."""
-        mine = own[:, :, None].expand(-1, -1, near.shape[2], -1)
-        return self.edge(torch.cat([mine, cloth[batch, near], offset], dim=-1)).amax(dim=2)
 
     def under(self, codes: Codes, actions: Tensor, held: Tensor) -> tuple[Tensor, Tensor]:
         """Return places and scales, as `forward` does, under C plans: one plan a scene, or any number for a single scene.
@@ -220,7 +188,7 @@ class Motion(nn.Module):
         carriers = codes.carriers
         code = codes.code.expand(plans, -1, -1)  # (C, N, width)
         place = codes.place.expand(plans, -1, -1)  # (C, N, 3)
-        target = Line(*(part.expand(plans, -1, -1) for part in codes.target))
+        target = codes.target.expand(plans, -1, -1)
 
         # Compute the plan at the knots: places of the grippers, and how held cloth is carried from knot to knot.
         actions = _local(_renamed(actions, codes.swapped), codes.origin, codes.axes)
@@ -248,7 +216,7 @@ class Motion(nn.Module):
         places = []
         scales = []
         for k, length in enumerate(lengths.tolist()):
-            ahead = torch.baddbmm(shifts[:, k], place, turns[:, k])  # (C, N, 3): carried
+            ahead = place @ turns[:, k] + shifts[:, k]  # (C, N, 3): carried
             # Update the code by a gated recurrent unit, from inputs of the point and of the whole scene.
             pooled = self.pool(code[:, :carriers])  # (C, carriers, 16)
             pooled = torch.cat([pooled.mean(dim=1), pooled.amax(dim=1)], dim=1)
@@ -305,7 +273,7 @@ class Motion(nn.Module):
         error = ((places - future).square().sum(dim=-1) + 1e-6).sqrt()
         # The negative log-density of a Laplace distribution in three dimensions, up to a constant.
         unlikely = error / scales + 3 * (scales / UNIT).log()
-        distorted = (_distances(places) - _distances(future)).abs()
+        distorted = (torch.cdist(places, places) - torch.cdist(future, future)).abs()
 
         # Points whose future is not known count neither alone nor in a pair.
         known = scene["known"].to(error)
@@ -321,15 +289,6 @@ class Motion(nn.Module):
         loss = 30 * (parts["error"] + parts["distortion"]) + 0.3 * parts["unlikely"]
         logged = {"loss": loss, **parts}
         return loss, {name: part.detach() for name, part in logged.items()}
-
-
-def _distances(points: Tensor) -> Tensor:
-    """Return distances (..., n, n) between points (..., n, 3), to 1 mm."""
-    # Matrix products take a third of the time of differences.
-    central = points - points.mean(dim=-2, keepdim=True)
-    size = central.square().sum(dim=-1)
-    square = size[..., :, None] + size[..., None, :] - 2 * central @ central.mT
-    return (square.clamp_min(0) + 1e-6).sqrt()
 
 
 def carried(points: Tensor, before: Tensor, now: Tensor) -> Tensor:
@@ -372,41 +331,43 @@ def _gated(new: Tensor, old: Tensor, code: Tensor) -> Tensor:
     width = code.shape[-1]
     keep, use = torch.sigmoid(new[..., width:] + old[..., width:]).chunk(2, dim=-1)
     candidate = torch.tanh(new[..., :width] + use * old[..., :width])
-    return torch.lerp(candidate, code, keep)
+    return keep * code + (1 - keep) * candidate
 
 
-def _beside(points: Tensor, line: Line) -> Tensor:
-    """Return features (B, N, 5) of points (B, N, 3) near a line: fading offset and place along it, and nearness."""
-    # Find the nearest piece of the line. In plain form, with tensors (B, N, L, 3), a thousand plans take a sixth longer:
-    #     offset = points[:, :, None] - line.start[:, None]
-    #     share = ((offset * line.along[:, None]).sum(-1) / line.square).clamp(0, 1)
-    #     nearest = (share[..., None] * line.along[:, None] - offset).square().sum(-1).argmin(-1, keepdim=True)
-    # Here squares of distances are matrix products, without the square of the point, which is the same for all pieces.
-    projection = torch.baddbmm(line.base, points, line.along.mT)  # (B, N, L)
-    share = (projection / line.square).clamp(0, 1)
-    square = torch.baddbmm(line.first, points, line.start.mT, alpha=-2)
-    square = square + share * (share * line.square - 2 * projection)
-    nearest = square.argmin(dim=-1, keepdim=True)  # (B, N, 1)
+def _beside(points: Tensor, line: Tensor) -> Tensor:
+    """Return features (B, N, 5) of points (B, N, 3) near a line (B, L + 1, 3): fading offset and place along it, and nearness."""
+    # Find the nearest piece of the line.
+    start = line[:, None, :-1]  # (B, 1, L, 3)
+    along = line.diff(dim=1)[:, None]
+    offset = points[:, :, None] - start  # (B, N, L, 3)
+    square = along.square().sum(dim=-1).clamp_min(1e-9 / UNIT**2)
+    share = ((offset * along).sum(dim=-1) / square).clamp(0, 1)  # (B, N, L)
+    toward = share[..., None] * along - offset
+    nearest = toward.square().sum(dim=-1).argmin(dim=-1, keepdim=True)  # (B, N, 1)
 
-    # Compute the offset to its nearest place, which fades with the distance.
+    # The offset to its nearest place fades with the distance.
     share = share.gather(2, nearest)
-    index = nearest.expand(-1, -1, 3)
-    offset = line.start.gather(1, index) + share * line.along.gather(1, index) - points  # (B, N, 3)
-    near = (-torch.linalg.vector_norm(offset, dim=-1, keepdim=True) / _REACH).exp()
-    along = (nearest + share) / line.start.shape[1]
-    return torch.cat([offset * near, along * near, near], dim=-1)
+    toward = toward.take_along_dim(nearest[..., None], dim=2)[:, :, 0]  # (B, N, 3)
+    near = _nearness(toward.norm(dim=-1, keepdim=True))
+    place = (nearest + share) / start.shape[2]
+    return torch.cat([toward * near, place * near, near], dim=-1)
+
+
+def _nearness(distance: Tensor) -> Tensor:
+    """Return a number that falls from 1 towards 0 over 30 cm."""
+    return (-distance * UNIT / 0.3).exp()
 
 
 def _above(points: Tensor, floor: Tensor) -> Tensor:
     """Return features (B, N, 2) of points (B, N, 3) above the floor (B,): fading height and nearness."""
     height = (points[..., 2:] - floor[:, None, None]).relu()
-    near = (-height / _REACH).exp()
+    near = _nearness(height)
     return torch.cat([height * near, near], dim=-1)
 
 
-def _reach(hands: Tensor, target: Line) -> Tensor:
+def _reach(hands: Tensor, target: Tensor) -> Tensor:
     """Return features (B, N, 8) of a target for grippers (B, N, 3): those of its line, and its tip, fading with the square."""
-    tip = target.start[:, -1:] + target.along[:, -1:] - hands  # (B, N, 3)
+    tip = target[:, -1:] - hands  # (B, N, 3)
     faded = tip / (0.1 / UNIT**2 + tip.square().sum(dim=-1, keepdim=True)).sqrt()
     return torch.cat([_beside(hands, target), faded], dim=-1)
 

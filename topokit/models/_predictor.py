@@ -1,163 +1,28 @@
-"""A trained model on a stream of clouds: observe, then predict under one plan or many. Forecasts are NumPy arrays."""
+"""A trained model on a stream of clouds: observe, then predict under one plan or many."""
 
 from __future__ import annotations
 
 from collections import deque
-from collections.abc import Mapping
-from dataclasses import dataclass
+from collections.abc import Mapping, Sequence
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 import torch
 from numpy.typing import ArrayLike, NDArray
+from scipy.spatial import cKDTree
 from torch import Tensor
 
-from topokit._validate import as_points, as_reals
-from topokit.mixture import LoopMixture, loop_mixture
-from topokit.sampling import farthest_point_sample
-from topokit.seqph import SeqPH, TopologicalState
+from topokit._validate import as_points
+from topokit.sampling import farthest_point_sample, inliers
+from topokit.seqph import Loop, SeqPH, TopologicalState, follow
 
-from ._baselines import past_window
 from ._checkpoint import Model, describe, load_model, save_tensors
-from ._motion import Motion
+from ._motion import KNOTS, PAST, Codes, Motion, world
+from ._scenes import carriers_first, flow, target_of
 from ._states import NOISE, TRIANGLES, StateTensors
 
-# Plans in a batch: enough to read the weights seldom, few enough for activations to stay in the cache.
-_PLANS_AT_ONCE = 250
-
 Array = NDArray[np.float32]
-
-
-@dataclass(frozen=True, eq=False)
-class PredictedLoop:
-    """A predicted loop: a `topokit.Loop` whose triangles have no vertices in a cloud."""
-
-    slot: int  #: identity of the loop, the same over the whole forecast
-    presence: float  #: probability that the loop is present
-    birth: float  #: filtration value, metres
-    death: float  #: filtration value, metres
-    killer_shift: float  #: Hausdorff distance between the killer edges at this step and at the step before, metres
-    killer_triangles: Array  #: (2, 3, 3) metres, the thick triangle first
-    neighbours: Array  #: (m, 3, 3) metres, m <= 4
-    killer_values: Array  #: (2,)
-    neighbour_values: Array  #: (m,)
-    noise: float = NOISE  #: noise of the mixture, square metres; larger where the place is less certain
-
-    @property
-    def lifetime(self) -> float:
-        """Return death - birth, metres."""
-        return self.death - self.birth
-
-    @property
-    def centre(self) -> Array:
-        """Return the mean (3,) of the killer triangles' barycentres, which is not that of the mixture."""
-        return np.asarray(self.killer_triangles.mean(axis=(0, 1)))
-
-    def mixture(self, noise: float | None = None) -> LoopMixture:
-        """Return the mixture of the loop's place (`topokit.loop_mixture`), with the forecast's noise when none is given."""
-        return loop_mixture(self, self.noise if noise is None else noise)
-
-    def as_dict(self) -> dict[str, Any]:
-        """Return plain numbers and lists, for JSON."""
-        return {
-            "slot": self.slot,
-            "birth": self.birth,
-            "death": self.death,
-            "lifetime": self.lifetime,
-            "mean": self.mixture().mean.tolist(),
-            "killer_triangles": self.killer_triangles.tolist(),
-            "presence": round(self.presence, 4),
-        }
-
-
-@dataclass(frozen=True, eq=False)
-class Forecast:
-    """The predicted states of K steps and S slots under a plan; under C plans every array has a leading axis of C.
-
-    As a sequence it has K items. Each is a tuple of the loops that are present, longest lifetime first (`PredictedLoop`).
-    """
-
-    #: (K, S, 8, 3) metres: both ends of the killer edge, the apexes of both killer triangles (the thick one first), and those of
-    #: the four neighbours
-    corners: Array
-    neighbour_values: Array  #: (K, S, 4) filtration values of the neighbours, 0 where a neighbour is missing
-    birth: Array  #: (K, S) metres
-    death: Array  #: (K, S) metres
-    killer_shift: Array  #: (K, S) metres
-    presence: Array  #: (K, S) probability
-    noise: Array  #: (K, S) noise of the mixtures, square metres
-
-    @classmethod
-    def from_states(cls, states: StateTensors) -> Forecast:
-        """Return a model's output (C, K, S) as a forecast."""
-        states = states.replace(presence=states.presence.sigmoid())
-        return cls(*(tensor.numpy() for tensor in vars(states).values()))
-
-    def plan(self, index: int) -> Forecast:
-        """Return the forecast under one of many plans.
-
-        Raises
-        ------
-        IndexError
-            When there is only one plan.
-        """
-        if self.birth.ndim < 3:
-            raise IndexError("this is the forecast of a single plan, and has no plan to choose")
-        return Forecast(*(array[index] for array in vars(self).values()))
-
-    @property
-    def lifetime(self) -> Array:
-        """Return death - birth (K, S), metres."""
-        return self.death - self.birth
-
-    @property
-    def triangles(self) -> Array:
-        """Return the killer triangles and the neighbours, (K, S, 6, 3, 3)."""
-        return self._states.triangles.numpy()
-
-    @property
-    def values(self) -> Array:
-        """Return the filtration values (K, S, 6) of the triangles."""
-        return self._states.values.numpy()
-
-    @property
-    def mean(self) -> Array:
-        """Return the means (K, S, 3) of the mixtures."""
-        return self._states.mean.numpy()
-
-    @property
-    def _states(self) -> StateTensors:
-        return StateTensors(*map(torch.from_numpy, vars(self).values()))
-
-    def __len__(self) -> int:
-        return self.birth.shape[-2]
-
-    def __getitem__(self, step: int) -> tuple[PredictedLoop, ...]:
-        """Return the loops of a step that are more likely present than not, longest lifetime first; step 0 is the next frame."""
-        if self.birth.ndim > 2:
-            raise TypeError("this is a forecast of many plans: choose one first, forecast.plan(i)[step]")
-        if isinstance(step, slice):
-            raise TypeError("a forecast has no slices: give one step, forecast[step]")
-        longest = np.argsort(-self.lifetime[step], kind="stable")
-        return tuple(self._loop(step, int(slot)) for slot in longest if self.presence[step, slot] > 0.5)
-
-    def _loop(self, step: int, slot: int) -> PredictedLoop:
-        triangles = self.corners[step, slot][np.array(TRIANGLES)]  # (6, 3, 3)
-        values = self.neighbour_values[step, slot]
-        present = values > 0
-        return PredictedLoop(
-            slot=slot,
-            presence=float(self.presence[step, slot]),
-            birth=float(self.birth[step, slot]),
-            death=float(self.death[step, slot]),
-            killer_shift=float(self.killer_shift[step, slot]),
-            killer_triangles=triangles[:2],
-            neighbours=triangles[2:][present],
-            killer_values=np.repeat(self.death[step, slot], 2),
-            neighbour_values=values[present],
-            noise=float(self.noise[step, slot]),
-        )
 
 
 class Predictor:
@@ -166,27 +31,26 @@ class Predictor:
     Parameters
     ----------
     model : PredictiveModel
-        For a `Motion` use `MotionPredictor`, or `Predictor.load`, which chooses.
+        For a `Motion` use `Predictor.of`, which chooses a `MotionPredictor`.
     description : mapping, optional
         The description in the model's checkpoint.
     """
 
     def __init__(self, model: Model, description: Mapping[str, Any] | None = None) -> None:
-        if isinstance(model, Motion) and type(self) is Predictor:
-            raise TypeError("a Motion needs a MotionPredictor; Predictor.load chooses")
         self.model: Any = model.eval()
         self.description = dict(description or {})
         self.reset()
 
+    @staticmethod
+    def of(model: Model, description: Mapping[str, Any] | None = None) -> Predictor:
+        """Return the predictor of a model: of a model of motion it is a `MotionPredictor`."""
+        kind = MotionPredictor if isinstance(model, Motion) else Predictor
+        return kind(model, description)
+
     @classmethod
     def load(cls, path: str | Path) -> Predictor:
         """Read a checkpoint; a model of motion gives a `MotionPredictor`."""
-        from ._motion_predictor import MotionPredictor
-
-        model, description = load_model(path)
-        if isinstance(model, Motion):
-            return MotionPredictor(model, description)
-        return cls(model, description)
+        return cls.of(*load_model(path))
 
     def save(self, path: str | Path) -> None:
         """Write the model and its description to a checkpoint (.safetensors)."""
@@ -194,9 +58,9 @@ class Predictor:
 
     def reset(self) -> None:
         """Forget everything observed."""
-        self._kept: deque[dict[str, Tensor]] = deque(maxlen=self.model.shape.history)
+        self._frames: deque[dict[str, Tensor]] = deque(maxlen=self.model.shape.history)
         self._states: deque[TopologicalState] = deque(maxlen=self.model.shape.history)
-        self._tracker = SeqPH() if self.model.tracked else None
+        self._tracker = SeqPH()
         self._context: dict[str, Tensor] | None = None
 
     @torch.inference_mode()
@@ -219,30 +83,24 @@ class Predictor:
         Raises
         ------
         ValueError
-            When an array has another shape or holds a value that is not finite, or the model needs the grippers. The frame is
-            then not taken in.
+            When an array is not one of points, or the model needs the grippers.
         """
-        self._take(as_cloud(points), grippers, bool(held), target)
-
-    def _take(self, cloud: NDArray[np.float64], grippers: Any, held: bool, target: Any) -> None:
-        """Encode a frame and keep it."""
+        cloud = as_points(points)
         # Choose as many points as the model reads; repeat points when there are fewer.
         n = self.model.shape.points
-        points = cloud
+        chosen = cloud
         if len(cloud) > n:
-            points = cloud[farthest_point_sample(cloud, n, None)[0]]
-        points = np.resize(points, (1, n, 3)).astype(np.float32)
-        frame = {"clouds": torch.from_numpy(points)}
+            chosen = cloud[farthest_point_sample(cloud, n, None)[0]]
+        frame = {"clouds": torch.from_numpy(np.resize(chosen, (1, n, 3)).astype(np.float32))}
         if "grippers" in self.model.inputs:
-            place = as_grippers(grippers)
-            frame |= {"grippers": torch.from_numpy(place).float()[None], "held": torch.tensor([held])}
-        if self._tracker is not None:
+            frame["grippers"] = torch.from_numpy(as_grippers(grippers)).float()[None]
+        if self.model.tracked:
             self._states.append(self._tracker.update(cloud))
-        self._kept.append(self.model.encode_frames({name: frame[name] for name in self.model.inputs}))
+        self._frames.append(self.model.encode_frames({name: frame[name] for name in self.model.inputs}))
         self._context = None
 
     @torch.inference_mode()
-    def predict(self, actions: ArrayLike, held: ArrayLike | None = None) -> Forecast:
+    def predict(self, actions: ArrayLike, held: ArrayLike | None = None) -> StateTensors:
         """Forecast the states of the next frames; the first observed frame also stands for the frames before it.
 
         Parameters
@@ -251,61 +109,272 @@ class Predictor:
             Planned places of the two grippers at each of the next frames, metres; or C such plans.
         held : (60,) or (C, 60) array_like of bool, optional
             Whether the grippers hold the garment at each of these frames; when not given, at all of them.
+
+        Returns
+        -------
+        StateTensors
+            Of shape (60, S), or (C, 60, S) for C plans.
         """
         chunks = self._plans(actions, held)
-        context = self._encoded()
-        parts = [vars(self.model.decode(context, *chunk)).values() for chunk in chunks]
+        if self._context is None:
+            self._context = self._encoded()
+        parts = [vars(self.model.decode(self._context, *chunk)).values() for chunk in chunks]
         states = StateTensors(*(torch.cat(part) for part in zip(*parts, strict=True)))
-        forecast = Forecast.from_states(states)
-        if np.ndim(actions) == 4:
-            return forecast
-        return forecast.plan(0)
+        return states if np.ndim(actions) == 4 else states[0]
 
     def _encoded(self) -> dict[str, Tensor]:
-        """Return the encoded history for `decode`; it is computed once, for all plans until the next frame."""
-        if not self._kept:
+        """Return the encoded history for `decode`, which serves all plans until the next frame."""
+        if not self._frames:
             raise ValueError("no frame has been observed yet: call observe first")
-        if self._context is None:
-            # Take the newest frame first; the oldest one also stands for the frames before it.
-            back = [max(len(self._kept) - 1 - frames, 0) for frames in range(self.model.shape.history)]
-            kept = {name: torch.stack([self._kept[i][name] for i in back], dim=1) for name in self._kept[0]}
-            if self._tracker is not None:
-                past = past_window(self._states, self.model.shape.slots)
-                kept |= {name: tensor[:, back] for name, tensor in past.items()}
-            self._context = self.model.gather(kept)
-        return self._context
+        # Take the newest frame first; the oldest one also stands for the frames before it.
+        back = [max(len(self._frames) - 1 - frames, 0) for frames in range(self.model.shape.history)]
+        kept = {name: torch.stack([self._frames[i][name] for i in back], dim=1) for name in self._frames[0]}
+        past = None
+        if self.model.tracked:
+            past = StateTensors.from_tracks(self._states, self.model.shape.slots)[:, back]
+        context: dict[str, Tensor] = self.model.gather(kept, past)
+        return context
 
     def _plans(self, actions: ArrayLike, held: ArrayLike | None) -> list[tuple[Tensor, Tensor]]:
-        """Return plans (C, 60, 2, 3) and holds (C, 60) in batches."""
+        """Return plans (C, 60, 2, 3) and holds (C, 60), 250 at once: for more, activations do not stay in the cache."""
+        plans = torch.as_tensor(np.asarray(actions, np.float32))
         steps = self.model.shape.horizon
-        with np.errstate(over="ignore"):  # what is infinite in 32 bits is refused below
-            plans = as_reals(actions, "actions").astype(np.float32)
-        if plans.ndim not in (3, 4) or plans.shape[-3:] != (steps, 2, 3) or not len(plans):
-            raise ValueError(f"actions must be ({steps}, 2, 3) or (plans, {steps}, 2, 3), not {plans.shape}")
-        if not np.isfinite(plans).all():
-            raise ValueError("actions must be finite, but hold NaN or infinite coordinates")
-        holds = np.ones(plans.shape[:-2], dtype=bool)
+        if plans.shape[-3:] != (steps, 2, 3):
+            raise ValueError(f"actions must be ({steps}, 2, 3) or (plans, {steps}, 2, 3), not {tuple(plans.shape)}")
+        holds = torch.ones(plans.shape[:-2], dtype=torch.bool)
         if held is not None:
-            holds = as_reals(held, "held").astype(bool)
-        if holds.shape != plans.shape[:-2]:
-            raise ValueError(f"held must have the shape {plans.shape[:-2]}, as the actions do, not {holds.shape}")
-        some_plans = torch.from_numpy(plans).reshape(-1, steps, 2, 3).split(_PLANS_AT_ONCE)
-        some_holds = torch.from_numpy(holds).reshape(-1, steps).split(_PLANS_AT_ONCE)
+            holds = torch.as_tensor(np.asarray(held, bool)).expand(holds.shape)
+        some_plans = plans.reshape(-1, steps, 2, 3).split(250)
+        some_holds = holds.reshape(-1, steps).split(250)
         return list(zip(some_plans, some_holds, strict=True))
 
 
-def as_cloud(points: ArrayLike) -> NDArray[np.float64]:
-    """Return a cloud (n, 3), checked and copied."""
-    cloud = as_points(points, copy=True)
-    if cloud.shape[1] != 3 or not len(cloud):
-        raise ValueError(f"points must be an (n, 3) array of at least one point, not of shape {cloud.shape}")
-    return cloud
+class MotionPredictor(Predictor):
+    """Forecasts by a `Motion`: of the cloud, and of the loops that the tracker sees in the present cloud.
+
+    There are two tiers. The fast one, for many plans, moves the corners of each loop's triangles and no other points. The exact
+    one moves the whole cloud under one plan. At the frames that `exact` names it finds each loop's killer anew in the moved
+    cloud (`topokit.follow`), and the loops that open there.
+
+    Parameters
+    ----------
+    model : Motion
+    description : mapping, optional
+        The description in its checkpoint.
+    """
+
+    model: Motion
+
+    def reset(self) -> None:
+        """Forget everything observed."""
+        self._clouds: deque[cKDTree] = deque(maxlen=PAST[-1] + 1)
+        self._hands: deque[NDArray[np.float64]] = deque(maxlen=PAST[-1] + 1)
+        self._held = True
+        self._target = np.zeros((0, 3))
+        self._untracked: deque[NDArray[np.float64]] = deque(maxlen=self.model.shape.history)
+        self._codes: dict[bytes, Codes] = {}
+        self.tracker = SeqPH()  #: the tracker of the clouds observed
+        self.loops: tuple[Loop, ...] = ()  #: the loops of the last cloud, as of the last call of `predict`
+
+    def observe(
+        self, points: ArrayLike, grippers: ArrayLike | None = None, held: bool = True, target: ArrayLike | None = None
+    ) -> None:
+        """Take in the next frame, as `Predictor.observe` does."""
+        cloud = as_points(points, copy=True)
+        self._hands.append(as_grippers(grippers))
+        if target is not None:
+            self._target = as_points(target, "target", copy=True)
+        self._clouds.append(cKDTree(cloud))
+        self._untracked.append(cloud)
+        self._held = bool(held)
+        self._codes = {}
+
+    @torch.inference_mode()
+    def predict(self, actions: ArrayLike, held: ArrayLike | None = None, exact: Sequence[int] = ()) -> StateTensors:
+        """Forecast the states of the next frames.
+
+        Parameters
+        ----------
+        actions : (60, 2, 3) or (C, 60, 2, 3) array_like
+            Planned places of the two grippers at each of the next frames, metres; or C such plans.
+        held : (60,) or (C, 60) array_like of bool, optional
+            Whether they hold the garment then; throughout, when not given.
+        exact : sequence of int
+            Frames ahead, 1 to 60, at which loops are read off the moved cloud; for a single plan only. A loop that is born there
+            has a slot after those of the tracked loops, and is present at these frames only.
+        """
+        self._track()
+        ids = np.array([_corners(loop)[0] for loop in self.loops], dtype=np.int64)  # (S, 8)
+        plans = np.asarray(actions, np.float32).reshape(-1, *np.shape(actions)[-3:])
+
+        # Move the corners alone, or the whole cloud when loops are read off it.
+        if not len(exact):
+            points = self._clouds[-1].data[ids.ravel()] if self._clouds else None
+            places, scales = self.move(plans, held, points)  # (C, 60, 8 S, 3), (C, 60, 8 S)
+            states = self._states_of(places, scales)
+            return states if np.ndim(actions) == 4 else states[0]
+        if np.ndim(actions) == 4:
+            raise ValueError("exact frames are for a single plan")
+        places, scales = self.move(plans, held)
+        states = self._states_of(places[:, :, ids.ravel()], scales[:, :, ids.ravel()])[0]
+
+        # Empty slots for loops that are born; those that stay empty are cut off again.
+        n_free = self.model.shape.slots - len(ids)
+        states = states.map(lambda part: torch.cat([part, part.new_zeros(60, n_free, *part.shape[2:])], dim=1))
+        states.presence[:, len(ids) :] = -20
+        loops = list(self.loops)
+        for step in sorted(exact):
+            self._read_loops(states, step, loops, places[0, step - 1], scales[0, step - 1])
+        return states[:, : len(loops)]
+
+    @torch.inference_mode()
+    def move(
+        self, actions: ArrayLike, held: ArrayLike | None = None, points: ArrayLike | None = None
+    ) -> tuple[Array, Array]:
+        """Return where points of the cloth will be (60, n, 3), metres, and the scale (60, n) of the error there.
+
+        Parameters
+        ----------
+        actions : (60, 2, 3) or (C, 60, 2, 3) array_like
+            A plan; or C plans, and the answers have a leading axis of C.
+        held : (60,) or (C, 60) array_like of bool, optional
+        points : (n, 3) array_like, optional
+            Their present places; the last cloud when not given.
+        """
+        chunks = self._plans(actions, held)
+        if not self._clouds:
+            raise ValueError("no frame has been observed yet: call observe first")
+        codes = self._encode(self._clouds[-1].data if points is None else np.asarray(points, np.float64))
+        parts = [self.model.under(codes, *chunk) for chunk in chunks]
+        places, scales = (torch.cat(part)[:, :, codes.carriers :].numpy() for part in zip(*parts, strict=True))
+
+        # Between the knots, along straight lines from the present places on.
+        start = world(codes.place[:, codes.carriers :], codes.origin, codes.axes).numpy()
+        start = np.broadcast_to(start[:, None], (len(places), 1, *places.shape[2:]))
+        places = _at_all_frames(np.concatenate([start, places], axis=1))
+        scales = _at_all_frames(np.concatenate([scales[:, :1], scales], axis=1))
+        return (places, scales) if np.ndim(actions) == 4 else (places[0], scales[0])
+
+    def _track(self) -> None:
+        """Track the loops of the clouds observed since; a forecast of points alone does not need them."""
+        while self._untracked:
+            self.loops = self.tracker.update(self._untracked.popleft()).loops[: self.model.shape.slots]
+
+    def _encode(self, points: NDArray[np.float64]) -> Codes:
+        """Return the codes of points; they are made once for all plans until the next frame."""
+        key = points.tobytes()
+        if key not in self._codes:
+            # Strays are no cloth: the tracker leaves them out, too. The others are mixed, in the same way each time.
+            kept = self._clouds[-1].data[inliers(self._clouds[-1])]
+            cloud = np.random.default_rng(0).permutation(kept)[: self.model.shape.points]
+            cloud = cloud[carriers_first(cloud)]
+            last = len(self._clouds) - 1
+            times = [max(last - ago, 0) for ago in (0, *PAST)]
+            grippers = np.stack([self._hands[i] for i in times])
+            past = [self._clouds[i] for i in times[1:]]
+            scene = {
+                "cloud": cloud,
+                "points": points,
+                "flow": flow(np.concatenate([cloud, points]), past, grippers),
+                "grippers": grippers,
+                **target_of(self._target),
+            }
+            tensors = {name: torch.from_numpy(np.asarray(part, np.float32))[None] for name, part in scene.items()}
+            tensors["held"] = torch.tensor([self._held])
+            self._codes[key] = self.model.encode(tensors)
+        return self._codes[key]
+
+    def _states_of(self, places: Array, scales: Array) -> StateTensors:
+        """Return the states (C, 60, S) of the tracked loops whose corners (C, 60, 8 S, 3) are moved, with errors of these scales."""
+        corners = places.reshape(*places.shape[:2], -1, 8, 3)
+        edges = corners[..., :2, :]  # (C, 60, S, 2, 3) the killer edges
+        present_edges = np.array([loop.killer_edge_points for loop in self.loops], np.float32).reshape(-1, 2, 3)
+        first = np.broadcast_to(present_edges, edges[:, :1].shape)
+        before = np.concatenate([first, edges[:, :-1]], axis=1)
+        # The Hausdorff distance between a killer edge and that of the frame before.
+        gaps = np.linalg.norm(edges[..., :, None, :] - before[..., None, :, :], axis=-1)  # (C, 60, S, 2, 2)
+        shift = np.maximum(gaps.min(axis=-1).max(axis=-1), gaps.min(axis=-2).max(axis=-1))
+
+        birth = np.broadcast_to(np.array([loop.birth for loop in self.loops], np.float32), corners.shape[:3])
+        death = np.linalg.norm(edges[..., 0, :] - edges[..., 1, :], axis=-1) / 2
+        has_neighbour = np.array([_corners(loop)[1] for loop in self.loops], bool).reshape(-1, 4)
+        parts = {
+            "corners": corners,
+            "neighbour_values": _neighbour_values(corners) * has_neighbour,
+            "birth": birth,
+            "death": death,
+            "killer_shift": shift,
+            "noise": _noise(death, scales.reshape(corners.shape[:-1])),
+        }
+        tensors = {name: torch.tensor(part) for name, part in parts.items()}
+        return StateTensors(**tensors, presence=self._presence(birth, death, np.arange(1, 61)[:, None]))
+
+    def _presence(self, birth: ArrayLike, death: ArrayLike, ahead: ArrayLike) -> Tensor:
+        """Return the logits that the tracker counts loops as present so many frames ahead."""
+        start = np.asarray(birth, np.float64)
+        end = np.maximum(start, np.asarray(death, np.float64))
+        return torch.from_numpy(np.asarray(self.tracker.presence(start, end, ahead))).logit(1e-6).float()
+
+    def _read_loops(self, states: StateTensors, step: int, loops: list[Loop], cloud: Array, scales: Array) -> None:
+        """Write into states (60, S) what is read off the moved cloud at a step; loops born there are added to the list."""
+        found = {loop.id: loop for loop in follow(loops, cloud, self.tracker)}
+        known_ids = {loop.id for loop in loops}
+        born = [loop for loop in found.values() if loop.id not in known_ids]
+        loops += born[: states.birth.shape[1] - len(loops)]
+        row = states[step - 1]
+        row.presence[: len(loops)] = -20
+        for slot, loop in enumerate(loops):
+            if loop.id not in found:
+                continue
+            now = found[loop.id]
+            ids, has_neighbour = _corners(now)
+            row.corners[slot] = torch.from_numpy(cloud[ids])
+            row.neighbour_values[slot] = torch.from_numpy(_neighbour_values(cloud[ids]) * has_neighbour)
+            row.birth[slot] = now.birth
+            row.death[slot] = now.death
+            row.noise[slot] = float(_noise(now.death, scales[ids]))
+            # The tracker remembers a loop that it has seen; one that is born there it has not.
+            ahead = float(step) if slot < len(self.loops) else np.inf
+            row.presence[slot] = self._presence(now.birth, now.death, ahead)
 
 
 def as_grippers(grippers: ArrayLike | None) -> NDArray[np.float64]:
     """Return the places (2, 3) of the grippers, checked and copied."""
-    if grippers is None:
-        raise ValueError("this model needs the places of the grippers: observe(points, grippers)")
-    if np.shape(grippers) != (2, 3):
-        raise ValueError(f"grippers must be a (2, 3) array, not of shape {np.shape(grippers)}: give those of one frame")
+    if grippers is None or np.shape(grippers) != (2, 3):
+        raise ValueError(f"this model needs the places (2, 3) of the grippers, not {grippers}")
     return as_points(grippers, "grippers", copy=True)
+
+
+def _at_all_frames(values: Array) -> Array:
+    """Return (C, 60, ...) values at each of the next frames, from those (C, 1 + 13, ...) at present and at the knots."""
+    knots = np.array((0, *KNOTS))
+    frames = np.arange(1, KNOTS[-1] + 1)
+    after = np.searchsorted(knots, frames)
+    share = ((frames - knots[after - 1]) / np.diff(knots)[after - 1]).astype(np.float32)
+    share = share.reshape(-1, *[1] * (values.ndim - 2))
+    return np.asarray(values[:, after - 1] * (1 - share) + values[:, after] * share)
+
+
+def _corners(loop: Loop) -> tuple[list[int], list[bool]]:
+    """Return the vertices of a loop's eight corners, in the order of `StateTensors.corners`, and which neighbours it has."""
+    edge = loop.killer_edge.tolist()
+    corners = list(edge)
+    for triangle in loop.killer_triangle_ids.tolist():
+        corners += [vertex for vertex in triangle if vertex not in edge]
+    apex_at = {frozenset(outer): apex for *outer, apex in loop.neighbour_ids.tolist()}
+    edges = [frozenset((corners[a], corners[b])) for a, b, _ in TRIANGLES[2:]]
+    present = [outer in apex_at for outer in edges]
+    apexes = [apex_at.get(outer, corners[2]) for outer in edges]
+    return corners + apexes, present
+
+
+def _noise(death: Array | float, scales: Array) -> Array:
+    """Return the mixtures' noise: the opening squared, and four times the squared scales of the corners: an error's variance."""
+    return np.asarray(NOISE + np.square(death) + 4 * (scales**2).mean(axis=-1))
+
+
+def _neighbour_values(corners: Array) -> Array:
+    """Return (..., 4) filtration values of the neighbours: half the longest side."""
+    triangles = corners[..., np.array(TRIANGLES[2:]), :]  # (..., 4, 3, 3)
+    sides = np.linalg.norm(triangles - np.roll(triangles, 1, axis=-2), axis=-1)
+    return np.asarray(sides.max(axis=-1) / 2)

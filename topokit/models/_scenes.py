@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Iterable, Sequence
+from typing import TYPE_CHECKING
 
 import numpy as np
 import torch
@@ -10,17 +11,14 @@ from numpy.typing import NDArray
 from scipy.spatial import cKDTree
 from torch import Tensor
 
-from topokit._validate import whole
-from topokit.data import Dataset
 from topokit.sampling import farthest_point_sample
 
 from ._motion import CARRIERS, KNOTS, PAST, carried
 
+if TYPE_CHECKING:
+    from topokit.data import Dataset
+
 Array = NDArray[np.float32]
-ASKED = 16  # points of a cloud that are asked for
-TARGET = 16  # points of a target's line
-FIRST = 4  # frames that a window has at least before the present one
-AHEAD = 20  # and after it
 
 
 class Scenes(torch.utils.data.Dataset[dict[str, Tensor]]):
@@ -41,12 +39,13 @@ class Scenes(torch.utils.data.Dataset[dict[str, Tensor]]):
 
     def __init__(self, dataset: Dataset, episodes: Iterable[int], *, n_points: int = 160, stride: int = 1) -> None:
         self.dataset = dataset
-        self.episodes = np.unique([whole(number, "an episode") for number in episodes])
+        self.episodes = np.unique(np.asarray(list(episodes), np.int64))
         self.n_points = n_points
+        # A window has at least four frames before the present one, and 20 after it.
         rows = [
             (int(number), frame)
             for number in self.episodes
-            for frame in range(FIRST, dataset.record(number).frames - AHEAD, stride)
+            for frame in range(4, dataset.record(number).frames - 20, stride)
         ]
         self.index = np.array(rows, dtype=np.int64).reshape(-1, 2)
         self._films: dict[int, dict[str, Array]] = {}
@@ -94,7 +93,7 @@ def scene_at(
         n_past = int(rng.integers(n // 3, n))
     seen = np.resize(rng.permutation(n), n_points)
     if asked is None:
-        asked = np.resize(rng.permutation(n), ASKED)
+        asked = np.resize(rng.permutation(n), 16)
     times = np.maximum(frame - np.array((0, *PAST)), 0)
     seen = seen[carriers_first(points[frame, seen])]
     past = [cKDTree(points[then, rng.permutation(n)[:n_past]]) for then in times[1:]]
@@ -138,14 +137,14 @@ def carriers_first(cloud: NDArray[np.floating]) -> NDArray[np.int64]:
     return np.append(carriers, np.delete(np.arange(len(cloud)), carriers))
 
 
-def target_of(line: NDArray[np.floating], n: int = TARGET) -> dict[str, Array]:
-    """Return `target` (n, 3), places along the last 0.9 m of a target's centre line, and `floor` (), where the target stands.
+def target_of(line: NDArray[np.floating]) -> dict[str, Array]:
+    """Return `target` (16, 3), places along the last 0.9 m of a target's centre line, and `floor` (), where the target stands.
 
     Where there is no target, both are far below.
     """
     if not len(line):
         line = np.array([[0, 0, -1000.0]])
     length = np.append(0, np.linalg.norm(np.diff(line, axis=0), axis=1).cumsum())
-    at = np.linspace(max(length[-1] - 0.9, 0), length[-1], n)
+    at = np.linspace(max(length[-1] - 0.9, 0), length[-1], 16)
     places = np.stack([np.interp(at, length, axis) for axis in line.T], axis=1)
     return {"target": places.astype(np.float32), "floor": np.asarray(line[:, 2].min(), np.float32)}

@@ -11,39 +11,52 @@ from __future__ import annotations
 
 import dataclasses
 import itertools
-from collections.abc import Callable, Mapping
+from collections import defaultdict
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
 from typing import Any
 
+import numpy as np
 import torch
+from numpy.typing import NDArray
 from torch import Tensor
 from torch.distributions import Categorical, MixtureSameFamily, MultivariateNormal
 from torch.nn import functional
 
-from topokit._config import NotNegative, checked
-from topokit.mixture import moments
+from topokit.mixture import LoopMixture, loop_mixture, moments
+from topokit.seqph import TopologicalState
 
 TRIANGLES = ((0, 1, 2), (0, 1, 3), (0, 2, 4), (2, 1, 5), (0, 3, 6), (3, 1, 7))  # x y z1, x y z2, then the neighbours
 NUMBERS = 32  # numbers that describe a loop: 8 corners, 4 neighbour values, birth, lifetime, killer_shift, presence
 NOISE = 1e-4  # square metres; added to the covariances of a mixture's triangles when a forecast gives no other value
-PAST = tuple(f"past_{name}" for name in ("triangles", "values", "birth", "death", "killer_shift", "present"))
 Window = Mapping[str, Tensor]  # a batch of windows, as `topokit.data.WindowDataset` makes them
 
-# Corners and neighbours of a loop whose killer edge is read from y to x.
-_REVERSED_CORNERS = [1, 0, 2, 3, 5, 4, 7, 6]
-_REVERSED_NEIGHBOURS = [1, 0, 3, 2]
 
-# A number for each edge is six coordinates times these: edges are compared by one number instead of six.
-_EDGE_KEY = torch.tensor([2.0, 3.0, 5.0, 7.0, 11.0, 13.0]).sqrt()
+@dataclass(frozen=True, eq=False)
+class PredictedLoop:
+    """A predicted loop, of which `topokit.loop_mixture` makes a mixture: a `topokit.Loop` without vertices in a cloud."""
 
-# Lengths in metres that count as one in the losses.
-_POSITION_UNIT = 0.1
-_VALUE_UNIT = 0.02
+    slot: int  #: identity of the loop, the same over the whole forecast
+    presence: float  #: probability that the loop is present
+    birth: float  #: filtration value, metres
+    death: float  #: filtration value, metres
+    killer_triangles: NDArray[np.float32]  #: (2, 3, 3) metres, the thick triangle first
+    neighbours: NDArray[np.float32]  #: (m, 3, 3) metres, m <= 4
+    killer_values: NDArray[np.float32]  #: (2,)
+    neighbour_values: NDArray[np.float32]  #: (m,)
+    noise: float  #: noise of the mixture, square metres; larger where the place is less certain
+
+    def mixture(self) -> LoopMixture:
+        """Return the mixture of the loop's place, with the forecast's noise."""
+        return loop_mixture(self, self.noise)
 
 
 @dataclass(frozen=True, eq=False)
 class StateTensors:
-    """States of B sequences, K steps, S slots, in metres. An empty slot holds zeros, or the predictions of a model for it."""
+    """States of B sequences, K steps, S slots, in metres. An empty slot holds zeros, or the predictions of a model for it.
+
+    The forecast of a `Predictor` under a single plan has no leading axis of B.
+    """
 
     corners: Tensor  #: corners (B, K, S, 8, 3): x, y, z1, z2 and the neighbours' apexes
     #: Filtration values (B, K, S, 4) of the neighbours, 0 where there is none; the value of the killers is `death`.
@@ -76,7 +89,42 @@ class StateTensors:
     @classmethod
     def from_past(cls, window: Window) -> StateTensors:
         """Return the states that the tracker found in the history of a batch of windows."""
-        return cls.from_labels({name.removeprefix("past_"): window[name] for name in PAST})
+        names = ("triangles", "values", "birth", "death", "killer_shift", "present")
+        return cls.from_labels({name: window[f"past_{name}"] for name in names})
+
+    @classmethod
+    def from_tracks(cls, states: Sequence[TopologicalState], slots: int) -> StateTensors:
+        """Return tracked states (1, h, slots); the slots are the loops with the longest lifetimes on the mean over frames."""
+        total: defaultdict[int, float] = defaultdict(float)
+        for state in states:
+            for loop in state.loops:
+                total[loop.id] += loop.lifetime
+        longest = sorted(total, key=total.__getitem__, reverse=True)[:slots]
+
+        shape = (1, len(states), slots)
+        window = {name: torch.zeros(shape) for name in ("birth", "death", "killer_shift")}
+        window["triangles"] = torch.zeros(*shape, 6, 3, 3)
+        window["values"] = torch.zeros(*shape, 6)
+        window["present"] = torch.zeros(shape, dtype=torch.bool)
+        for frame, state in enumerate(states):
+            for loop in state.loops:
+                if loop.id not in longest:
+                    continue
+                place = (0, frame, longest.index(loop.id))
+                n = 2 + len(loop.neighbours)
+                triangles = np.concatenate([loop.killer_triangles, loop.neighbours])
+                values = np.concatenate([loop.killer_values, loop.neighbour_values])
+                window["triangles"][place][:n] = torch.from_numpy(triangles)
+                window["values"][place][:n] = torch.from_numpy(values)
+                for name in ("birth", "death", "killer_shift"):
+                    window[name][place] = getattr(loop, name)
+                window["present"][place] = True
+        return cls.from_labels(window)
+
+    @property
+    def lifetime(self) -> Tensor:
+        """Return death - birth (B, K, S)."""
+        return self.death - self.birth
 
     @property
     def triangles(self) -> Tensor:
@@ -96,11 +144,37 @@ class StateTensors:
         shares = functional.one_hot(torch.tensor(TRIANGLES), 8).sum(dim=1).to(weights) / 3  # (6, 8)
         return ((weights @ shares)[..., None, :] @ self.corners)[..., 0, :]  # (B, K, S, 3)
 
+    def loops(self, step: int) -> tuple[PredictedLoop, ...]:
+        """Return the loops of a step of a single sequence that are more likely present than not, longest lifetime first.
+
+        Step 0 is the next frame.
+        """
+        now = self[step]
+        order = now.lifetime.argsort(descending=True, stable=True).tolist()
+        return tuple(now._loop(slot) for slot in order if now.presence[slot] > 0)
+
+    def _loop(self, slot: int) -> PredictedLoop:
+        """Return the loop of a slot of a single state."""
+        triangles = self.triangles[slot].numpy()  # (6, 3, 3)
+        values = self.values[slot].numpy()
+        neighbours = values[2:] > 0
+        return PredictedLoop(
+            slot=slot,
+            presence=float(self.presence[slot].sigmoid()),
+            birth=float(self.birth[slot]),
+            death=float(self.death[slot]),
+            killer_triangles=triangles[:2],
+            neighbours=triangles[2:][neighbours],
+            killer_values=values[:2],
+            neighbour_values=values[2:][neighbours],
+            noise=float(self.noise[slot]),
+        )
+
     def reversed(self) -> StateTensors:
         """Return the same loops with the ends of their killer edges exchanged."""
         return self.replace(
-            corners=self.corners[..., _REVERSED_CORNERS, :],
-            neighbour_values=self.neighbour_values[..., _REVERSED_NEIGHBOURS],
+            corners=self.corners[..., [1, 0, 2, 3, 5, 4, 7, 6], :],
+            neighbour_values=self.neighbour_values[..., [1, 0, 3, 2]],
         )
 
     def replace(self, **parts: Tensor) -> StateTensors:
@@ -131,27 +205,25 @@ class StateTensors:
 
 
 def corners_of(triangles: Tensor, values: Tensor) -> tuple[Tensor, Tensor]:
-    """Return corners (..., 8, 3) and neighbour values (..., 4) of labels: triangles (..., 6, 3, 3) and values (..., 6).
+    """Return corners (N, 8, 3) and neighbour values (N, 4) of labels: triangles (N, 6, 3, 3) and values (N, 6).
 
     Labels list the neighbours without gaps, so a neighbour is identified by the edge that it shares. The apex of an absent
     neighbour is the middle of that edge.
     """
-    corners = torch.cat([triangles[..., 0, :, :], triangles[..., 1, 2:, :]], dim=-2)  # (..., 4, 3): x, y, z1, z2
+    corners = torch.cat([triangles[:, 0], triangles[:, 1, 2:]], dim=1)  # (N, 4, 3): x, y, z1, z2
     edges = torch.tensor([triangle[:2] for triangle in TRIANGLES[2:]], device=triangles.device)
-    outer = corners[..., edges, :]  # (..., 4 edges, 2, 3)
+    outer = corners[:, edges]  # (N, 4 edges, 2, 3)
 
     # Assign each listed neighbour to the outer edge that its first two vertices are.
-    listed = triangles[..., 2:, :, :]  # (..., 4 neighbours, 3, 3)
-    listed_edges = listed[..., :2, :].flatten(-2) @ _EDGE_KEY.to(listed)  # (..., 4 neighbours)
-    outer_edges = outer.flatten(-2) @ _EDGE_KEY.to(outer)  # (..., 4 edges)
-    gap = (listed_edges[..., :, None] - outer_edges[..., None, :]).abs()  # (..., neighbour, edge)
-    present = (values[..., 2:] > 0).to(triangles)
+    listed = triangles[:, 2:]  # (N, 4 neighbours, 3, 3)
+    gap = (listed[:, :, None, :2] - outer[:, None]).abs().sum(dim=(-2, -1))  # (N, neighbour, edge)
+    present = (values[:, 2:] > 0).to(triangles)
     assigned = functional.one_hot(gap.argmin(dim=-1), 4).to(triangles) * present[..., None]
 
-    neighbour_values = (assigned * values[..., 2:, None]).sum(dim=-2)  # (..., 4)
-    apexes = assigned.transpose(-1, -2) @ listed[..., 2, :]  # (..., 4, 3)
-    apexes = torch.where((neighbour_values > 0)[..., None], apexes, outer.mean(dim=-2))
-    return torch.cat([corners, apexes], dim=-2), neighbour_values
+    neighbour_values = (assigned * values[:, 2:, None]).sum(dim=1)  # (N, 4)
+    apexes = assigned.mT @ listed[:, :, 2]  # (N, 4, 3)
+    apexes = torch.where((neighbour_values > 0)[..., None], apexes, outer.mean(dim=2))
+    return torch.cat([corners, apexes], dim=1), neighbour_values
 
 
 def loop_mixtures(triangles: Tensor, values: Tensor, noise: float | Tensor = NOISE) -> MixtureSameFamily:
@@ -173,41 +245,46 @@ def loop_mixtures(triangles: Tensor, values: Tensor, noise: float | Tensor = NOI
     return MixtureSameFamily(weights, components, validate_args=False)
 
 
-@checked
-class LossWeights:
-    """Weights of the parts of the loss, and whether slots are matched."""
-
-    #: Weight of the squared errors of corners, values, birth, death and killer shift of the present loops (the paper's L2).
-    #: The ends of a killer edge are taken in the order that fits better.
-    features: NotNegative = 1.0
-    presence: NotNegative = 1.0  #: weight of the binary cross-entropy of the presence of each slot
-    centre: NotNegative = 0.0  #: weight of the Huber loss of the distance of the mixtures' means, quadratic below 2 cm
-    #: Switch: compare with the target slots in the cheapest order over the whole horizon, instead of the labels' order.
-    match: bool = False
-
-
-def forecast_loss(predicted: StateTensors, window: Window, weights: LossWeights) -> tuple[Tensor, dict[str, Tensor]]:
+def forecast_loss(
+    predicted: StateTensors,
+    window: Window,
+    *,
+    features: float = 1.0,
+    presence: float = 1.0,
+    centre: float = 0.0,
+    match: bool = False,
+) -> tuple[Tensor, dict[str, Tensor]]:
     """Return the loss of a batch, and for the log the loss, its parts, and the mean distance of the mixtures' means in metres.
+
+    Lengths of 10 cm, and filtration values of 2 cm, count as one.
 
     Parameters
     ----------
     predicted : StateTensors
     window : mapping of str to Tensor
         Batch with its labels.
-    weights : LossWeights
+    features : float
+        Weight of the squared errors of corners, values, birth, death and killer shift of the present loops (the paper's L2). The
+        ends of a killer edge are taken in the order that fits better.
+    presence : float
+        Weight of the binary cross-entropy of the presence of each slot.
+    centre : float
+        Weight of the Huber loss of the distance of the mixtures' means, quadratic below 2 cm.
+    match : bool
+        Whether to compare with the target slots in the cheapest order over the whole horizon, instead of the labels' order.
     """
     target = StateTensors.from_labels(window)
-    if weights.match:
+    if match:
         target = target.matched_to(predicted)
     present = target.presence > 0  # (B, K, S)
     distance = (predicted.mean - target.mean)[present].norm(dim=-1)
-    centre = functional.huber_loss(distance / _POSITION_UNIT, torch.zeros_like(distance), delta=0.2, reduction="none")
+    off = functional.huber_loss(distance / 0.1, torch.zeros_like(distance), delta=0.2, reduction="none")
     parts = {
         "features": _features_error(predicted[present], target[present]),
         "presence": functional.binary_cross_entropy_with_logits(predicted.presence, present.to(predicted.presence)),
-        "centre": _mean(centre),
+        "centre": _mean(off),
     }
-    total = torch.stack([getattr(weights, name) * part for name, part in parts.items()]).sum()
+    total = features * parts["features"] + presence * parts["presence"] + centre * parts["centre"]
     logged = {"loss": total, **parts, "distance": _mean(distance)}
     return total, {name: part.detach() for name, part in logged.items()}
 
@@ -216,7 +293,7 @@ def forecast_loss(predicted: StateTensors, window: Window, weights: LossWeights)
 def match_slots(predicted: StateTensors, target: StateTensors) -> Tensor:
     """Return the target slot (B, S) to compare each predicted slot with at all steps: the cheapest of all orders."""
     present = (target.presence > 0).to(predicted.presence)  # (B, K, S)
-    distance = torch.cdist(predicted.mean, target.mean) / _POSITION_UNIT  # (B, K, predicted, target)
+    distance = torch.cdist(predicted.mean, target.mean) / 0.1  # (B, K, predicted, target)
     # The cross-entropy of the presence of every pair.
     logit = predicted.presence[..., :, None]
     entropy = functional.softplus(logit) - logit * present[..., None, :]
@@ -232,7 +309,7 @@ def _features_error(predicted: StateTensors, target: StateTensors) -> Tensor:
     """Return the mean over N loops of the mean squared errors of their features."""
     numbers = torch.stack([predicted.birth, predicted.death, predicted.killer_shift], dim=-1)  # (N, 3)
     truth = torch.stack([target.birth, target.death, target.killer_shift], dim=-1)
-    error = ((numbers - truth) / _VALUE_UNIT).square().mean(dim=-1)
+    error = ((numbers - truth) / 0.02).square().mean(dim=-1)
     # A killer edge has no direction: take the order of its ends that fits better.
     forwards = _corners_error(predicted, target)
     backwards = _corners_error(predicted, target.reversed())
@@ -244,8 +321,8 @@ def _corners_error(predicted: StateTensors, target: StateTensors) -> Tensor:
     killers = torch.ones_like(target.corners[..., :4, 0])
     neighbours = (target.neighbour_values > 0).float()
     counts = torch.cat([killers, neighbours], dim=-1)  # (N, 8)
-    squares = ((predicted.corners - target.corners) / _POSITION_UNIT).square().sum(dim=-1)  # (N, 8)
-    values = ((predicted.neighbour_values - target.neighbour_values) / _VALUE_UNIT).square().mean(dim=-1)
+    squares = ((predicted.corners - target.corners) / 0.1).square().sum(dim=-1)  # (N, 8)
+    values = ((predicted.neighbour_values - target.neighbour_values) / 0.02).square().mean(dim=-1)
     return (squares * counts).sum(dim=-1) / counts.sum(dim=-1) + values
 
 

@@ -2,8 +2,7 @@
 
 The order of windows and all that is random depend on the seed, the epoch and the step alone. Everything else that matters is in
 `last.safetensors`. So a training that was killed and started again ends, on a CPU, with the same weights as one left alone.
-Sums depend on how many threads share them; their number is therefore an entry of the configuration. On one kind of machine
-`best.safetensors` has the same bytes wherever it is made. `last.safetensors` has not: it holds the seconds that were spent.
+Sums depend on how many threads share them; their number is therefore an entry of the configuration.
 
 Source: Antonova et al. 2021, section 5 (supervised, from the tracker's labels). Taught in chapter 13.
 """
@@ -14,7 +13,6 @@ import codecs
 import csv
 import json
 import math
-import os
 import time
 from collections.abc import Sequence
 from dataclasses import asdict, dataclass, field
@@ -28,34 +26,12 @@ from tqdm import tqdm
 
 from topokit._archive import FormatError, atomic_file
 from topokit._config import from_mapping
-from topokit._cores import safe_path
 
 from ._baselines import Normalisation, Ridge
 from ._checkpoint import Model, build, describe, load_model, load_tensors, save_tensors
-from ._config import TrainConfig, Windows, epoch_order, spread
+from ._config import TrainConfig, Windows, spread
 from ._motion import Motion
 from ._states import StateTensors, Window, forecast_loss
-
-try:
-    from lightning_fabric import Fabric
-except ModuleNotFoundError:  # conda-forge has it as a part of Lightning
-    from lightning.fabric import Fabric  # type: ignore[import-not-found, no-redef]
-
-LAST, BEST, LOG = "last.safetensors", "best.safetensors", "log.csv"
-_FREE = ("workers", "dataset", "start", "rehearse", "accelerator")  # may change when a training goes on
-_OPTIMIZER = "optimizer."  # before the names of the optimiser's tensors in `last.safetensors`
-_PLACES = {
-    "clouds",
-    "triangles",
-    "past_triangles",
-    "grippers",
-    "actions",
-    "cloud",
-    "points",
-    "flow",
-    "target",
-    "future",
-}
 
 
 def train(
@@ -79,7 +55,7 @@ def train(
     Raises
     ------
     ValueError
-        When there are too few windows, `out` or `start` holds another training, or the loss is not finite any more.
+        When there are too few windows, `out` holds another training, or the loss is not finite any more.
     """
     windows = config.open_windows() if windows is None else Windows(*windows)
     n_train = len(windows.train)
@@ -92,8 +68,7 @@ def train(
     threads = torch.get_num_threads()
     torch.set_num_threads(config.threads)
     try:
-        with safe_path():
-            return _Training(config, out, windows, progress).run()
+        return _Training(config, out, windows, progress).run()
     finally:
         torch.set_num_threads(threads)
 
@@ -115,49 +90,49 @@ class _Training:
         self.config = config
         self.windows = windows
         self.show = show
-        self.out = out
+        self.last = out / "last.safetensors"
+        self.best = out / "best.safetensors"
+        self.log = out / "log.csv"
         self.progress = Progress()
-        self.fabric = Fabric(accelerator=config.accelerator, devices=1, precision=config.precision)  # type: ignore[arg-type]
 
         # An earlier run left a checkpoint: go on from there, with its normalisation.
         saved = None
-        if (self.out / LAST).exists():
-            saved = load_tensors(self.out / LAST)
+        normalisation = Normalisation()
+        if self.last.exists():
+            saved = load_tensors(self.last)
             self._check_same(saved[0])
             normalisation = from_mapping(Normalisation, saved[0]["normalisation"], "normalisation")
-        elif others := [name for name in (BEST, LOG) if os.path.lexists(self.out / name)]:
-            raise ValueError(f"{self.out}: holds a {others[0]} and no {LAST} to go on from; name another folder")
-        elif config.model == "motion":
-            normalisation = Normalisation()
-        else:
+        elif config.model != "motion":
             normalisation = normalisation_of(windows.train)
 
         torch.manual_seed(config.seed)
-        self.model = build(config.model, config.shape, normalisation, config.options)
+        self.model: Model = build(config.model, config.shape, normalisation, config.options)
         if config.start:
-            self.model = _starting_model(config)
+            self.model, _ = load_model(config.start)
         if self.model.learns:
-            optimizer = torch.optim.AdamW(
+            self.optimizer = torch.optim.AdamW(
                 self.model.parameters(),
                 config.learning_rate,
                 weight_decay=config.weight_decay,
                 fused=True,  # a few times as fast on a CPU
             )
-            _, self.optimizer = self.fabric.setup(self.model, optimizer)
         if saved is not None:
             self._restore(*saved)
 
         # One loader serves all epochs, each in its own order: workers keep the films that they have read.
         self.order: list[int] = []
-        self.loader = self._loader(
-            windows.train, sampler=self.order, drop_last=True, persistent_workers=config.workers > 0
+        self.loader: DataLoader[Window] = DataLoader(
+            windows.train,
+            config.batch,
+            sampler=self.order,
+            drop_last=True,
+            num_workers=config.workers,
+            persistent_workers=config.workers > 0,
         )
         n = len(windows.train)
         self.steps_per_epoch = min(config.windows_per_epoch or n, n) // config.batch
 
     def run(self) -> dict[str, Any]:
-        if not (self.out / LAST).exists():
-            self._save_last()  # from now on the files of the folder are this training's
         while not self._finished():
             sums: dict[str, float] = {}
             if self.model.learns:
@@ -185,6 +160,15 @@ class _Training:
         self.progress.seconds += time.monotonic() - start
         return sums
 
+    def _batches(self) -> Any:
+        """Return the batches of the epoch, under a bar; their order depends on the seed and the epoch alone."""
+        epoch = self.progress.epoch
+        generator = torch.Generator().manual_seed(self.config.seed * 1_000_003 + epoch)
+        order = torch.randperm(len(self.windows.train), generator=generator)
+        self.order[:] = order[: self.config.windows_per_epoch].tolist()
+        total = self.steps_per_epoch
+        return tqdm(self.loader, f"epoch {epoch + 1}", total, unit="batch", leave=False, disable=not self.show)
+
     def _step(self, window: Window) -> dict[str, Tensor]:
         """Take a step along the gradient of a batch, of which half is seen in the mirror."""
         config = self.config
@@ -193,27 +177,22 @@ class _Training:
         for group in self.optimizer.param_groups:
             group["lr"] = config.learning_rate * share
         seed = config.seed * 1_000_003 + step
-        generator = torch.Generator().manual_seed(seed)
-        n = len(window["actions"])
-        turns = torch.rand(-(-n // config.together), generator=generator) < 0.5
-        window = mirrored(window, turns.repeat_interleave(config.together)[:n])
-        loss, parts = self._loss(window, seed)
+        turns = torch.rand(len(window["actions"]), generator=torch.Generator().manual_seed(seed)) < 0.5
+        loss, parts = self._loss(mirrored(window, turns), seed)
         if not torch.isfinite(loss):
             raise ValueError(f"step {step}: the loss is {loss.item()}; lower learning_rate, or check the data")
         self.optimizer.zero_grad()
-        self.fabric.backward(loss)
-        self.fabric.clip_gradients(self.model, self.optimizer, max_norm=config.clip)
+        loss.backward()
+        torch.nn.utils.clip_grad_norm_(self.model.parameters(), config.clip)
         self.optimizer.step()
         self.progress.step += 1
         return parts
 
     def _loss(self, window: Window, seed: int) -> tuple[Tensor, dict[str, Tensor]]:
-        """Return the loss of a batch and its parts, in 32 bits whatever the model computes in."""
+        """Return the loss of a batch and its parts."""
         if isinstance(self.model, Motion):
             return self.model.loss(window, torch.Generator().manual_seed(seed))
-        with self.fabric.autocast():
-            predicted = self.model(window)
-        return forecast_loss(predicted.map(Tensor.float), window, self.config.loss)
+        return forecast_loss(self.model(window), window, **self.config.loss)
 
     def _end_epoch(self, sums: dict[str, float]) -> None:
         """Validate, log, and write the checkpoints: the best one first, so that `last` is never ahead of it."""
@@ -223,8 +202,7 @@ class _Training:
         row |= {f"train_{name}": value / self.steps_per_epoch for name, value in sums.items()}
         row |= {f"validation_{name}": value for name, value in losses.items()}
         progress.log.append(row)
-        # The whole log is written each time. Fabric's CSVLogger would delete the rows of the run before this one.
-        with atomic_file(self.out / LOG) as file:
+        with atomic_file(self.log) as file:
             writer = csv.DictWriter(codecs.getwriter("utf-8")(file), row)
             writer.writeheader()
             writer.writerows(progress.log)
@@ -240,8 +218,9 @@ class _Training:
         """Return the mean losses over the windows held back."""
         self.model.eval()
         chosen = spread(len(self.windows.validation), self.config.validation_windows)
+        loader = DataLoader(Subset(self.windows.validation, chosen), self.config.batch, num_workers=self.config.workers)
         sums: dict[str, float] = {}
-        for number, window in enumerate(self._loader(Subset(self.windows.validation, chosen))):
+        for number, window in enumerate(loader):
             _, parts = self._loss(window, number)
             _add(sums, parts, len(window["actions"]))
         return {name: value / len(chosen) for name, value in sums.items()}
@@ -252,7 +231,7 @@ class _Training:
         if progress.seconds:
             speed = round(progress.step * self.config.batch / progress.seconds, 1)
         return {
-            "checkpoint": str(self.out / BEST),
+            "checkpoint": str(self.best),
             "model": self.config.model,
             "parameters": sum(part.numel() for part in self.model.parameters()),
             "validation_loss": progress.best,
@@ -263,29 +242,11 @@ class _Training:
             "windows_per_second": speed,
         }
 
-    def _batches(self) -> Any:
-        """Return the batches of the epoch, under a bar."""
-        epoch = self.progress.epoch
-        config = self.config
-        self.order[:] = epoch_order(
-            len(self.windows.train), config.windows_per_epoch, config.seed, epoch, config.together
-        )
-        return tqdm(
-            self.loader,
-            f"epoch {epoch + 1}",
-            total=self.steps_per_epoch,
-            unit="batch",
-            leave=False,
-            disable=not self.show,
-        )
-
-    def _loader(self, data: Any, **options: Any) -> Any:
-        loader = DataLoader(data, self.config.batch, num_workers=self.config.workers, **options)
-        return self.fabric.setup_dataloaders(loader, move_to_device=self.model.learns)
-
     def _description(self) -> dict[str, Any]:
+        """Return the description of a checkpoint; what may change when a training goes on is left out of its configuration."""
         description = describe(self.model)
-        description["config"] = {key: value for key, value in asdict(self.config).items() if key not in _FREE}
+        free = ("workers", "dataset", "start", "rehearse")
+        description["config"] = {key: value for key, value in asdict(self.config).items() if key not in free}
         description["dataset"] = self.windows.checksum
         if self.config.start:
             description["start"] = Path(self.config.start).name
@@ -295,58 +256,37 @@ class _Training:
         progress = self.progress
         weights = {name: part.half() for name, part in self.model.state_dict().items()}  # half the size
         reached = {"validation_loss": progress.best, "epoch": progress.best_epoch, "steps": progress.step}
-        save_tensors(self.out / BEST, weights, self._description() | reached)
+        save_tensors(self.best, weights, self._description() | reached)
 
     def _save_last(self) -> None:
         tensors = dict(self.model.state_dict())
         if self.model.learns:
             for index, entries in self.optimizer.state_dict()["state"].items():
                 for name, value in entries.items():
-                    tensors[f"{_OPTIMIZER}{index}.{name}"] = torch.as_tensor(value)
-        save_tensors(self.out / LAST, tensors, self._description() | {"progress": asdict(self.progress)})
+                    tensors[f"optimizer.{index}.{name}"] = value
+        save_tensors(self.last, tensors, self._description() | {"progress": asdict(self.progress)})
 
     def _restore(self, description: dict[str, Any], tensors: dict[str, Tensor]) -> None:
         """Go on from `last.safetensors`: weights, the optimiser's state, progress."""
-        weights = {name: part for name, part in tensors.items() if not name.startswith(_OPTIMIZER)}
-        try:
-            self.model.load_state_dict(weights)
-            self.progress = Progress(**description["progress"])
-            if self.model.learns:
-                state = self.optimizer.state_dict()
-                for name in tensors.keys() - weights.keys():
-                    index, key = name.removeprefix(_OPTIMIZER).split(".")
-                    state["state"].setdefault(int(index), {})[key] = tensors[name]
-                self.optimizer.load_state_dict(state)
-        except (KeyError, TypeError, ValueError, RuntimeError) as error:
-            raise FormatError(f"{self.out / LAST}: not the checkpoint of a training: {error!s:.300}") from error
+        weights = {name: part for name, part in tensors.items() if not name.startswith("optimizer.")}
+        if "progress" not in description:
+            raise FormatError(f"{self.last}: not the checkpoint of a training that can go on")
+        self.model.load_state_dict(weights)
+        self.progress = Progress(**description["progress"])
+        if self.model.learns:
+            state = self.optimizer.state_dict()
+            for name in tensors.keys() - weights.keys():
+                _, index, key = name.split(".")
+                state["state"].setdefault(int(index), {})[key] = tensors[name]
+            self.optimizer.load_state_dict(state)
 
     def _check_same(self, description: dict[str, Any]) -> None:
         """Refuse to go on with another configuration, or on another dataset."""
-        earlier = asdict(TrainConfig(self.config.model)) | description.get(
-            "config", {}
-        )  # an older one may lack entries
-        for name, value in _as_json(asdict(self.config)).items():
-            if name not in _FREE and _as_json(earlier[name]) != value:
-                other = f"{name} = {earlier[name]!r}, the configuration says {value!r}"
-                raise ValueError(f"{self.out}: holds a training with {other}; name another folder, or remove that one")
-        if description.get("dataset") != self.windows.checksum:
-            raise ValueError(f"{self.out}: holds a training on another dataset, by its checksum; name another folder")
-
-
-def _starting_model(config: TrainConfig) -> Model:
-    """Return the model of the checkpoint `config.start`, which must be of the configuration's kind and sizes."""
-    model, description = load_model(config.start)
-    wanted = _as_json(asdict(config))
-    for name in ("model", "options", "shape"):
-        if description[name] != wanted[name]:
-            other = f"its {name} is {description[name]!r}, and the configuration says {wanted[name]!r}"
-            raise ValueError(f"{config.start}: {other}")
-    return model
-
-
-def _as_json(value: Any) -> Any:
-    """Return a value as JSON gives it back: tuples are lists."""
-    return json.loads(json.dumps(value))
+        config = json.loads(json.dumps(asdict(self.config))) | {"dataset": self.windows.checksum}
+        for name, value in {**description["config"], "dataset": description["dataset"]}.items():
+            if config.get(name) != value:
+                other = f"{name} = {value!r} and not {config.get(name)!r}"
+                raise ValueError(f"{self.last}: a training with {other}; name another folder, or remove that one")
 
 
 def normalisation_of(data: Any) -> Normalisation:
@@ -367,7 +307,9 @@ def mirrored(window: Window, which: Tensor) -> dict[str, Tensor]:
     grippers exchange their places.
     """
     flipped = dict(window)
-    for name in _PLACES & set(window):
+    places = ["clouds", "triangles", "past_triangles", "grippers", "actions"]  # of windows with labels
+    places += ["cloud", "points", "flow", "target", "future"]  # of scenes
+    for name in window.keys() & set(places):
         image = window[name][which] * window[name].new_tensor([-1.0, 1.0, 1.0])
         if name in ("grippers", "actions"):
             image = image.flip(-2)
