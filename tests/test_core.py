@@ -12,7 +12,7 @@ import pytest
 import topokit
 
 _PACKAGES = """
-bokeh dask distributed fsspec gymnasium lightning_fabric matplotlib pandas pybullet pydantic pypcd4 pyvista safetensors sklearn
+bokeh dask distributed fsspec gymnasium matplotlib pandas pybullet pydantic pypcd4 pyvista safetensors sklearn
 torch tqdm trimesh vtk yaml gudhi networkx ripser
 """
 _NAMES = """

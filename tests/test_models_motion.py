@@ -2,8 +2,6 @@
 
 from __future__ import annotations
 
-import json
-
 import numpy as np
 import pytest
 import torch
@@ -11,24 +9,22 @@ from scipy.spatial import cKDTree
 from torch.utils.data import default_collate
 
 import topokit as tk
-from topokit.cli import main
 from topokit.data import Dataset
-from topokit.models import Motion, MotionPredictor, Normalisation, Scenes, Shape, build
+from topokit.models import Predictor, Scenes, Shape, build
 from topokit.models._motion import CARRIERS, KNOTS, UNIT, carried
-from topokit.models._motion_predictor import _corners
-from topokit.models._scenes import carriers_first, flow, scene_at, target_of
+from topokit.models._scenes import carriers_first, flow, target_of
 from topokit.seqph import SeqPH, follow
 
 from conftest import DATA
-from windows import RingScenes, film
+from windows import RingScenes
 
 SHAPE = Shape(points=160)
 FILMS = DATA / "motion"
 
 
-def make(width: int = 16, seed: int = 0, strong: float = 0.3, **options) -> Motion:
+def make(width: int = 16, seed: int = 0, strong: float = 0.3, **options):
     torch.manual_seed(seed)
-    model = build("motion", SHAPE, Normalisation(), {"width": width, **options}).eval()
+    model = build("motion", SHAPE, None, {"width": width, **options}).eval()
     torch.nn.init.normal_(model.out[2].weight, std=strong)  # an untrained one carries, and little can be seen
     return model
 
@@ -93,14 +89,6 @@ def test_a_scene_turned_and_moved_is_the_same_scene(batch, angle):
     assert losses[0] == pytest.approx(losses[1], abs=1e-4)
 
 
-def test_which_gripper_is_the_first_does_not_matter(batch):
-    model = make()
-    renamed = {**batch, **{name: batch[name].flip(2) for name in ("grippers", "actions")}}
-    with torch.no_grad():
-        for one, other in zip(model(batch), model(renamed), strict=True):
-            torch.testing.assert_close(one, other, atol=1e-4, rtol=0)
-
-
 def test_tilt_and_floor_matter(batch):
     """Gravity counts, and so does a floor that is near; one that is far below does not."""
     model = make()
@@ -115,7 +103,7 @@ def test_tilt_and_floor_matter(batch):
 
 def test_untrained_it_carries(batch):
     torch.manual_seed(0)
-    model = build("motion", SHAPE, Normalisation())
+    model = build("motion", SHAPE)
     with torch.inference_mode():
         places, _ = model(batch)
     start = torch.cat([batch["cloud"][:, :CARRIERS], batch["points"]], dim=1)
@@ -142,8 +130,6 @@ def test_an_ablation_leaves_out_the_parts_that_it_names(batch):
     still, _ = make(strong=0.0, without=["carry"])(batch)
     start = torch.cat([batch["cloud"][:, :CARRIERS], batch["points"]], dim=1)
     assert torch.allclose(still[:, -1], start, atol=1e-4)
-    with pytest.raises(ValueError, match="target, frame, carry"):
-        make(without=["floor"])
 
 
 def test_points_are_forecast_alike_alone_and_in_company(batch):
@@ -232,74 +218,54 @@ def test_scenes_are_windows_of_vertices(episode):
     ]
 
 
-def test_the_order_of_vertices_does_not_matter():
-    parts = film(np.random.default_rng(0))
-    mixed = {**parts, "points": parts["points"][:, np.random.default_rng(1).permutation(360)]}
-    model = make()
-    errors = []
-    for one in (parts, mixed):
-        scene = default_collate([scene_at(one, 20, np.random.default_rng(5))])
-        errors.append(float(model.loss(scene, torch.Generator().manual_seed(0))[1]["error"]))
-    assert errors[0] == pytest.approx(errors[1], rel=0.5)
-
-
 # -- the predictor ----------------------------------------------------------------------------------------------------------
 
 
 def test_many_plans_are_the_single_ones(episode):
-    predictor = MotionPredictor(make())
+    predictor = Predictor.of(make())
     actions, held = observed(predictor, episode)
     rng = np.random.default_rng(0)
     plans = actions + rng.normal(0, 0.05, (3, 60, 2, 3))
     many = predictor.predict(plans, np.stack([held] * 3))
     for i in range(3):
         one = predictor.predict(plans[i], held)
-        assert np.allclose(many.plan(i).corners, one.corners, atol=1e-5)
-        assert np.allclose(many.plan(i).presence, one.presence, atol=1e-5)
+        assert np.allclose(many[i].corners, one.corners, atol=1e-5)
+        assert np.allclose(many[i].presence, one.presence, atol=1e-5)
 
 
 def test_the_two_tiers_move_the_same_points(episode):
     """Corners are points of the cloud: the fast tier moves them as the exact one does."""
-    predictor = MotionPredictor(make(strong=0.05))
+    predictor = Predictor.of(make(strong=0.05))
     plan = observed(predictor, episode)
     clouds, scales = predictor.move(*plan)
     assert clouds.shape == (60, *episode.points[20].shape)
     assert scales.shape == clouds.shape[:2]
     fast = predictor.predict(*plan)
-    killer = predictor._loops[0].killer_edge
+    killer = predictor.loops[0].killer_edge
     assert np.allclose(fast.corners[29, 0, :2], clouds[29][killer], atol=1e-5)
     exact = predictor.predict(*plan, exact=(30,))
-    (loop,) = [one for one in tk.follow(predictor._loops, clouds[29]) if one.id == predictor._loops[0].id]
+    (loop,) = [one for one in tk.follow(predictor.loops, clouds[29]) if one.id == predictor.loops[0].id]
     assert exact.death[29, 0] == pytest.approx(loop.death)
     assert np.allclose(exact.corners[28], fast.corners[28])  # nothing else changed
 
 
 def test_a_forecast_is_as_wide_as_it_is_unsure(episode):
-    predictor = MotionPredictor(make())
+    predictor = Predictor.of(make())
     plan = observed(predictor, episode)
     forecast = predictor.predict(*plan)
-    loop = predictor._loops[0]
+    loop = predictor.loops[0]
     places, scales = predictor.move(*plan, points=loop.killer_edge_points)
     assert np.allclose(forecast.corners[:, 0, :2], places, atol=1e-5)
     surplus = forecast.noise[:, 0] - 1e-4 - forecast.death[:, 0] ** 2
     assert np.all(surplus > 0.5 * (scales**2).mean(axis=1))  # of two of the eight corners
-    said = next(one for one in forecast[59] if one.slot == 0)
-    more = said.mixture().covariances - said.mixture(1e-4).covariances
-    assert np.allclose(more, (forecast.noise[59, 0] - 1e-4) * np.eye(3), atol=1e-7)
-    exact = predictor.predict(*plan, exact=[60])
-    cloud, unsure = (part[59] for part in predictor.move(*plan))
-    anew = {one.id: _corners(one)[0] for one in tk.follow(predictor._loops, cloud)}  # where they end now
-    assert len(anew) == len(predictor._loops)
-    surplus = [4 * (unsure[anew[one.id]] ** 2).mean() for one in predictor._loops]
-    assert np.allclose(exact.noise[59, : len(anew)] - 1e-4 - exact.death[59, : len(anew)] ** 2, surplus, atol=1e-7)
     timid = make()
     torch.nn.init.constant_(timid.out[2].bias[3:], 2.0)
-    unsure = MotionPredictor(timid)
+    unsure = Predictor.of(timid)
     assert (unsure.predict(*observed(unsure, episode)).noise > forecast.noise).all()
 
 
 def test_any_points_can_be_moved_under_many_plans(episode):
-    predictor = MotionPredictor(make())
+    predictor = Predictor.of(make())
     plan, held = observed(predictor, episode)
     cloud, some = predictor.move(plan, held)[0], episode.points[20][[5, 50]]
     many = predictor.move(np.stack([plan, plan + [0, 0, 0.1]]), np.stack([held, held]), some)
@@ -310,7 +276,7 @@ def test_any_points_can_be_moved_under_many_plans(episode):
 
 
 def test_the_order_of_points_does_not_count(episode):
-    predictor, rng = MotionPredictor(make(strong=0.05)), np.random.default_rng(0)
+    predictor, rng = Predictor.of(make(strong=0.05)), np.random.default_rng(0)
     plan = observed(predictor, episode)
     one = predictor.move(*plan)[0]
     order = rng.permutation(episode.points.shape[1])
@@ -330,7 +296,7 @@ def with_stray(predictor, episode, cloud, stray):
 
 def test_strays_do_not_tell_the_cloth_how_it_moves(episode):
     cloud = episode.points[20][:150].astype(float)  # fewer than the network looks at
-    predictor, middle = MotionPredictor(make()), cloud.mean(axis=0)
+    predictor, middle = Predictor.of(make()), cloud.mean(axis=0)
     far, farther = (predictor.move(*with_stray(predictor, episode, cloud, middle + [x, x, 0]), cloud) for x in (1, 2))
     np.testing.assert_allclose(far[0], farther[0], atol=1e-5)
 
@@ -339,64 +305,23 @@ def test_a_stray_in_an_opening_does_not_end_it(episode):
     """The tracker leaves it out, and so does who seeks its loops in the moved cloud."""
     turn = 2 * np.pi * np.arange(150) / 150
     ring = episode.grippers[20].mean(axis=0) + np.column_stack([0.3 * np.cos(turn), 0 * turn, 0.3 * np.sin(turn) - 0.3])
-    predictor = MotionPredictor(make(strong=1e-3))
+    predictor = Predictor.of(make(strong=1e-3))
     plan = with_stray(predictor, episode, ring, ring.mean(axis=0))
     exact, fast = predictor.predict(*plan, exact=[1]), predictor.predict(*plan)
-    assert len(predictor._loops) == 1
+    assert len(predictor.loops) == 1
     assert exact.death[0, 0] == pytest.approx(fast.death[0, 0], rel=0.05)
     assert fast.death[0, 0] > 0.25
 
 
-def test_buffers_that_are_refilled_are_not_the_frames_before(episode):
-    predictor = MotionPredictor(make())
-    plan = observed(predictor, episode)
-    expected = predictor.predict(*plan)
-    predictor.reset()
-    buffers = [part.astype(float) for part in (episode.points[0], episode.grippers[0], episode.centre_line)]
-    for t in range(5, 21):
-        buffers[0][:], buffers[1][:], buffers[2][:] = episode.points[t], episode.grippers[t], episode.centre_line
-        predictor.observe(buffers[0], buffers[1], bool(episode.held[t]), buffers[2])
-    for buffer in buffers:
-        buffer[:] = 0
-    assert np.array_equal(predictor.predict(*plan).corners, expected.corners)
-
-
-def test_what_cannot_be_observed_or_planned_is_refused(episode):
-    predictor = MotionPredictor(make())
-    cloud, hands = episode.points[0], episode.grippers[0]
-    plan = np.repeat(episode.grippers[20][None], 60, axis=0)
-    with pytest.raises(ValueError, match="observe"):
-        predictor.predict(plan)
-    with pytest.raises(ValueError, match="grippers"):
-        predictor.observe(cloud)
-    with pytest.raises(ValueError, match="target"):
-        predictor.observe(cloud, hands, True, [[0, 0]])
-    predictor.observe(cloud, hands)
-    with pytest.raises(ValueError, match="actions"):
-        predictor.move(plan[:5])
-    for plans, exact in ((plan, (0,)), (plan, (61,)), (plan[None], (1,))):
-        with pytest.raises(ValueError, match="exact"):
-            predictor.predict(plans, exact=exact)
-
-
 def test_a_cloud_without_a_loop_has_a_forecast_without_one():
-    predictor, rng = MotionPredictor(make()), np.random.default_rng(0)
+    predictor, rng = Predictor.of(make()), np.random.default_rng(0)
     hands = np.array([[-0.1, 0, 1.0], [0.1, 0, 1.0]])
     for _ in range(3):
         predictor.observe(rng.normal(0, 0.01, (6, 3)) + [0, 0, 0.9], hands)
     plan = np.repeat(hands[None], 60, axis=0)
     forecast = predictor.predict(plan, exact=(1, 60))
-    assert len(forecast[0]) == 0
+    assert len(forecast.loops(0)) == 0
     assert predictor.move(plan)[0].shape == (60, 6, 3)
-
-
-def test_predict_command(tmp_path, capsys):
-    model = make()
-    path = tmp_path / "m.safetensors"
-    MotionPredictor(model).save(path)
-    assert main(["predict", str(path), str(DATA / "apron_hook_0.npz"), "--frame", "30", "--json"]) == 0
-    answer = json.loads(capsys.readouterr().out)
-    assert (answer["model"], answer["loops"][0]["frame"]) == ("motion", 31)
 
 
 def test_loops_are_born_in_the_moved_cloud(episode):
@@ -409,18 +334,18 @@ def test_loops_are_born_in_the_moved_cloud(episode):
     tracker = SeqPH()
     tracker.update(opened)
     (born,) = (one for one in follow([loop], opened, tracker) if one.id != loop.id)
-    predictor = MotionPredictor(make())
+    predictor = Predictor.of(make())
     plan, held = observed(predictor, episode)
-    predictor._moved = lambda *_: (
+    predictor.predict(plan, held)  # all that was observed is tracked
+    predictor.move = lambda *_: (
         np.stack([shut] * 20 + [opened] * 40)[None].astype(np.float32),
         np.full((1, 60, 120), 0.01),
     )
-    predictor._track = lambda: None
-    predictor._loops, predictor._seqph = (loop,), tracker
+    predictor.loops, predictor.tracker = (loop,), tracker
     forecast = predictor.predict(plan, held, exact=(60, 10, 30))
     assert forecast.birth.shape == (60, 2)
-    assert [len(forecast[step - 1]) for step in (10, 30, 60)] == [1, 2, 2]
-    assert forecast[29][0].slot != forecast[29][1].slot
+    assert [len(forecast.loops(step - 1)) for step in (10, 30, 60)] == [1, 2, 2]
+    assert len({loop.slot for loop in forecast.loops(29)}) == 2
     assert forecast.corners[29, 1, :, 0].min() > 0.5
-    assert forecast.presence[[9, 20, 40], 1].max() == 0  # only where it was looked for
+    assert (forecast.presence[[9, 20, 40], 1] < -10).all()  # only where it was looked for
     assert forecast.noise[59, 1] == pytest.approx(1e-4 + born.death**2 + 4e-4, rel=0.01)

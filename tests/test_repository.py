@@ -20,7 +20,7 @@ PACKAGE = ROOT / "topokit"
 PROJECT = tomllib.loads((ROOT / "pyproject.toml").read_text())
 LOCKS = [ROOT / "requirements.txt", ROOT / "requirements-torch.txt"]
 EXTRAS = PROJECT["project"]["optional-dependencies"]
-PYPI_NAMES = {"pytorch": "torch", "matplotlib-base": "matplotlib", "lightning": "lightning-fabric"}
+PYPI_NAMES = {"pytorch": "torch", "matplotlib-base": "matplotlib"}
 
 
 def locked() -> dict[str, str]:

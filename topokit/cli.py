@@ -379,7 +379,7 @@ def predict(checkpoint: Path, episode: Path, frame: int = 15) -> Answer:
 
     rows = []
     for step in (1, 15, 30, 45, 60):
-        for loop in forecast[step - 1]:
+        for loop in forecast.loops(step - 1):
             place = dict(zip("xyz", loop.mixture().mean.tolist(), strict=True))
             rows.append({"frame": frame + step, "loop": loop.slot, "presence": loop.presence, **place})
     return {"episode": str(episode), "frame": frame, "model": predictor.description["model"], "loops": rows}

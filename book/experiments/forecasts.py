@@ -36,7 +36,7 @@ import topokit
 from topokit.data import Dataset, WindowDataset
 from topokit.evaluate import true_loops
 from topokit.io import save_episode
-from topokit.models import Forecast, MotionPredictor, Predictor, Shape, StateTensors, build
+from topokit.models import Predictor, Shape, StateTensors, build
 
 Forecaster = Callable[[Mapping[str, Tensor]], StateTensors]
 
@@ -294,7 +294,7 @@ def of_windows(model: Any) -> Forecaster:
     return lambda window: model(window).map(Tensor.float)
 
 
-def of_stream(predictor: MotionPredictor, windows: WindowDataset, steps: Sequence[int]) -> Forecaster:
+def of_stream(predictor: Any, windows: WindowDataset, steps: Sequence[int]) -> Forecaster:
     """Return a forecaster that is shown the frames of each window one by one, as whole clouds.
 
     Its loops are sought anew in the moved cloud, at the steps that are measured.
@@ -316,21 +316,18 @@ def of_stream(predictor: MotionPredictor, windows: WindowDataset, steps: Sequenc
     return forecast
 
 
-def stack_forecasts(forecasts: Sequence[Forecast], slots: int) -> StateTensors:
+def stack_forecasts(forecasts: Sequence[StateTensors], slots: int) -> StateTensors:
     """Return B forecasts as one, with as many slots as the windows have. A slot that a forecast lacks is empty."""
     parts = {}
     for part in fields(StateTensors):
-        empty = 0.0
-        if part.name == "noise":
-            empty = 1e-4  # square metres: a mixture needs a width, also where there is no loop
+        # An empty slot is absent. A mixture needs a width, also where there is no loop.
+        empty = {"noise": 1e-4, "presence": -20.0}.get(part.name, 0.0)
         padded = []
         for forecast in forecasts:
             values = getattr(forecast, part.name)[:, :slots]
-            missing = [(0, 0), (0, slots - values.shape[1]), *[(0, 0)] * (values.ndim - 2)]
-            padded.append(np.pad(values, missing, constant_values=empty))
-        parts[part.name] = torch.from_numpy(np.stack(padded)).float()
-    # Forecasts give probabilities of presence, states have logits.
-    parts["presence"] = parts["presence"].double().logit(1e-6).float()
+            missing = values.new_full((len(values), slots - values.shape[1], *values.shape[2:]), empty)
+            padded.append(torch.cat([values, missing], dim=1))
+        parts[part.name] = torch.stack(padded)
     return StateTensors(**parts)
 
 
@@ -353,7 +350,7 @@ def load_checkpoint(path: Path, shown: str, shape: Shape) -> tuple[Predictor, di
     predictor = Predictor.load(path)
     trained_shape = predictor.model.shape
     description = predictor.description
-    fits = isinstance(predictor, MotionPredictor) or trained_shape == shape
+    fits = description["model"] == "motion" or trained_shape == shape
     if trained_shape.horizon != shape.horizon or not fits:
         raise ValueError(f"{path}: trained on windows of shape {trained_shape}; the evaluation has {shape}")
     trained = description.get("config", {})
@@ -421,7 +418,7 @@ def measure_condition(config: EvaluationConfig, condition: Condition, folder: Pa
         for path in paths:
             predictor, about = load_checkpoint(folder / path, path, shape)
             check_unseen(about, clean, condition)
-            if isinstance(predictor, MotionPredictor):
+            if about["model"] == "motion":
                 forecasters[shown].append(of_stream(predictor, observed, steps))
             else:
                 forecasters[shown].append(of_windows(predictor.model))

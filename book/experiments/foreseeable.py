@@ -5,7 +5,7 @@
 A window of a film has its present at a frame at which the grippers hold. The film is simulated again twice, up to that frame with
 the same plan: once the hands make a detour of 2 mm just before (*nudged*), once the cloth has other physics, drawn anew
 from the ranges of the dataset (*other physics*), which no cloud shows. How far the vertices go on in such a twin, added to where
-they are, is its forecast. Loops are read off it as off any other (`topokit.models.MotionPredictor`) and measured as in
+they are, is its forecast. Loops are read off it as off any other (`topokit.models.Predictor`) and measured as in
 motion.py. Beside it: the motion that came (*known*), a trained model, and carry.
 """
 
@@ -14,7 +14,7 @@ from __future__ import annotations
 import argparse
 import dataclasses
 import json
-from collections.abc import Iterator, Mapping
+from collections.abc import Mapping, Sequence
 from concurrent.futures import ThreadPoolExecutor
 from pathlib import Path
 from typing import Any
@@ -30,7 +30,7 @@ from tqdm import tqdm
 
 from topokit.control import Carried
 from topokit.data import Dataset, WindowDataset, make_episode
-from topokit.models import MotionPredictor, Normalisation, Predictor, Shape, StateTensors, build
+from topokit.models import Predictor, StateTensors, build
 from topokit.sim import Randomisation, SimulationError
 from topokit.sim._episode import Run, record_afresh
 
@@ -81,17 +81,20 @@ TWINS = {"nudged": nudged, "other physics": other_physics}
 TOLD = ("known", *(name for twin in TWINS for name in (twin, f"{twin}, its places")), "motion")  # of all vertices
 
 
-class Told(MotionPredictor):
-    """A predictor that returns given motions, window after window."""
+def told(model: Any, futures: Sequence[Array]) -> Any:
+    """Return a predictor that moves clouds as it is told, (60, n, 3) window after window, and reads loops off them."""
+    predictor: Any = Predictor.of(model)
+    given = iter(futures)
 
-    futures: Iterator[Array]  # (60, n, 3) each
-
-    def _moved(self, *_: object) -> tuple[Array, Array]:
-        places = next(self.futures)[None].astype(np.float32)
+    def move(*_: object) -> tuple[Array, Array]:
+        places = next(given)[None].astype(np.float32)
         return places, np.zeros(places.shape[:3], np.float32)
 
+    predictor.move = move
+    return predictor
 
-def forecast(model: MotionPredictor, points: Array, film: Any, frame: int) -> Array:
+
+def forecast(model: Any, points: Array, film: Any, frame: int) -> Array:
     """Return (60, n, 3) what a model forecasts of all vertices."""
     model.reset()
     for t in range(frame - 15, frame + 1):
@@ -121,7 +124,7 @@ def simulated(run: Run, job: tuple[int, int, str]) -> Array | None:
         return None
 
 
-def futures_of(film: Any, frame: int, twins: Mapping[str, Array], model: MotionPredictor) -> dict[str, Array]:
+def futures_of(film: Any, frame: int, twins: Mapping[str, Array], model: Any) -> dict[str, Array]:
     """Return by name the next 60 places (60, n, 3) of all vertices: known, of each twin, and of a model."""
     points = film.points.astype(float)
     ahead = slice(frame + 1, frame + 61)
@@ -132,7 +135,7 @@ def futures_of(film: Any, frame: int, twins: Mapping[str, Array], model: MotionP
     return moved | {"motion": forecast(model, points, film, frame)}
 
 
-def hits_of(windows: WindowDataset, futures: Mapping[str, list[Array]], model: MotionPredictor) -> dict[str, Array]:
+def hits_of(windows: WindowDataset, futures: Mapping[str, list[Array]], model: Any) -> dict[str, Array]:
     """Return by name whether each window's forecast is in the hull at the `STEPS`: 1, 0, or nan without a true loop."""
     batch = default_collate([windows[i] for i in range(len(windows))])
     truth = true_curves(windows, range(len(windows)), STEPS)
@@ -141,11 +144,9 @@ def hits_of(windows: WindowDataset, futures: Mapping[str, list[Array]], model: M
     batch["turn"] = torch.eye(3)
 
     # Given motions are read as a model's own motions are. Carry moves the loops alone.
-    forecasters = {"carry": of_windows(build("carry", Shape(), Normalisation()))}
+    forecasters = {"carry": of_windows(build("carry"))}
     for name, places in futures.items():
-        told = Told(model.model)
-        told.futures = iter(places)
-        forecasters[name] = of_stream(told, windows, STEPS)
+        forecasters[name] = of_stream(told(model.model, places), windows, STEPS)
     hits = {}
     for name, forecaster in forecasters.items():
         with torch.inference_mode():

@@ -44,7 +44,7 @@ from tables import write_results
 
 import topokit
 from topokit.data import Dataset, DatasetConfig, WindowDataset, generate_dataset, label_dataset
-from topokit.models import LossWeights, Predictor, Scenes, Shape, StateTensors, TrainConfig, build, train
+from topokit.models import Predictor, Scenes, Shape, StateTensors, TrainConfig, build, train
 
 ROOT = Path(__file__).parents[2]
 STAGES = ("films", "labels", "trainings", "tests", "forecasts", "table")
@@ -107,7 +107,6 @@ class Experiment:
     folder: Path
     configs: Path  #: the folder that paths of the protocol are relative to
     workers: int
-    accelerator: str
     sizes: tuple[int, ...]
     networks: tuple[str, ...]
 
@@ -251,13 +250,13 @@ class Experiment:
         if described["model"] == "mlp":
             options["points"] = MLP_POINTS + more
         if described["model"] == "motion":
-            of_scenes = {"shape": Shape(points=160), "patience": epochs, "threads": 1, "accelerator": self.accelerator}
+            of_scenes = {"shape": Shape(points=160), "patience": epochs, "threads": 1}
             of_scenes |= described["training"]
             return TrainConfig("motion", options=options, seed=seed, **of_scenes)
         return TrainConfig(
             model=described["model"],
             options=options,
-            loss=LossWeights(**described.get("loss", {})),
+            loss=described.get("loss", {}),
             shape=replace(self.shape, points=self.shape.points + more),
             seed=seed,
             batch=self.protocol["batch"],
@@ -265,10 +264,8 @@ class Experiment:
             windows_per_epoch=self.protocol["epoch"],
             validation_windows=self.protocol["validation_windows"],
             patience=epochs,
-            together=described.get("together", 1),
             learning_rate=rate,
             threads=1,
-            accelerator=self.accelerator,
         )
 
     @property
@@ -566,7 +563,6 @@ def main(arguments: Sequence[str] | None = None) -> None:
     parser.add_argument("--sizes", nargs="+", type=int, help="numbers of training films, of those of the protocol")
     parser.add_argument("--networks", nargs="+", help="of those of the protocol")
     parser.add_argument("--workers", type=int, default=1, help="processes for films and labels (default 1)")
-    parser.add_argument("--accelerator", default="cpu", help="of the trainings: cpu (default) or cuda")
     options = parser.parse_args(arguments)
     torch.set_num_threads(1)
     protocol = json.loads(options.protocol.read_text(encoding="utf-8"))
@@ -575,7 +571,6 @@ def main(arguments: Sequence[str] | None = None) -> None:
         options.work,
         options.protocol.parent,
         options.workers,
-        options.accelerator,
         tuple(options.sizes or [protocol["training_films"], *protocol["curve"]["films"]]),
         tuple(options.networks or protocol["networks"]),
     )

@@ -52,8 +52,8 @@ def hang(
     garment, target : optional
         The garment and the target of the task when not given.
     model : optional
-        The forecaster with which `Planner` plans: "carry" for a rigid one, the checkpoint of a `topokit.models.Motion`, or an
-        object with the methods of a `topokit.models.MotionPredictor`. With None the `Servo` acts, which needs no forecast.
+        The forecaster with which `Planner` plans: "carry" for a rigid one, the checkpoint of a model of motion, or an
+        object with the methods of its `topokit.models.Predictor`. With None the `Servo` acts, which needs no forecast.
     controller : optional
         The controller that acts in place of these: an object with the members of a `Servo`.
     max_steps : int

@@ -94,7 +94,7 @@ class Planner(Servo):
     Parameters
     ----------
     forecast : optional
-        A `topokit.models.MotionPredictor`, or an object of one's own with the methods of `Carried`, the default.
+        A `topokit.models.Predictor` of a model of motion, or an object of one's own with the methods of `Carried`, the default.
     n_loops : int
         As in `Servo`.
     **options
