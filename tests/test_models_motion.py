@@ -245,7 +245,7 @@ def test_the_two_tiers_move_the_same_points(episode):
     assert np.allclose(fast.corners[29, 0, :2], clouds[29][killer], atol=1e-5)
     exact = predictor.predict(*plan, exact=(30,))
     (loop,) = [one for one in tk.follow(predictor.loops, clouds[29]) if one.id == predictor.loops[0].id]
-    assert exact.death[29, 0] == pytest.approx(loop.death)
+    assert exact.death[29, 0].item() == pytest.approx(loop.death)
     assert np.allclose(exact.corners[28], fast.corners[28])  # nothing else changed
 
 
@@ -256,7 +256,7 @@ def test_a_forecast_is_as_wide_as_it_is_unsure(episode):
     loop = predictor.loops[0]
     places, scales = predictor.move(*plan, points=loop.killer_edge_points)
     assert np.allclose(forecast.corners[:, 0, :2], places, atol=1e-5)
-    surplus = forecast.noise[:, 0] - 1e-4 - forecast.death[:, 0] ** 2
+    surplus = (forecast.noise[:, 0] - 1e-4 - forecast.death[:, 0] ** 2).numpy()
     assert np.all(surplus > 0.5 * (scales**2).mean(axis=1))  # of two of the eight corners
     timid = make()
     torch.nn.init.constant_(timid.out[2].bias[3:], 2.0)
@@ -309,7 +309,7 @@ def test_a_stray_in_an_opening_does_not_end_it(episode):
     plan = with_stray(predictor, episode, ring, ring.mean(axis=0))
     exact, fast = predictor.predict(*plan, exact=[1]), predictor.predict(*plan)
     assert len(predictor.loops) == 1
-    assert exact.death[0, 0] == pytest.approx(fast.death[0, 0], rel=0.05)
+    assert exact.death[0, 0].item() == pytest.approx(fast.death[0, 0].item(), rel=0.05)
     assert fast.death[0, 0] > 0.25
 
 

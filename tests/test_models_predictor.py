@@ -29,7 +29,7 @@ SHAPE = Shape(points=POINTS, slots=SLOTS)
 UNITS = Normalisation((0.0, 0.0, 0.85), 0.1, 0.08)
 SMALL = {"hidden": [32, 16]}
 NETWORKS = ("mlp", "pointnet")
-NAMES = ("hold", "carry", "blind", "ridge", *NETWORKS)
+NAMES = ("hold", "carry", "ridge", *NETWORKS)
 
 
 def make(name, seed=0):
@@ -91,17 +91,6 @@ def test_the_order_of_points_does_not_count_for_a_pointnet(window):
     mixed = window | {"clouds": window["clouds"][:, :, torch.randperm(POINTS)]}
     with torch.inference_mode():
         assert torch.allclose(make("pointnet")(window).corners, make("pointnet")(mixed).corners, atol=1e-5)
-
-
-def test_the_blind_rule_is_below_the_grippers_and_stays_where_they_let_go(window):
-    held = torch.ones_like(window["actions_held"])
-    held[:, 40:] = False
-    states = build("blind", SHAPE, UNITS, {"height": 0.2})(window | {"actions_held": held})
-    middle = window["actions"].mean(dim=2)
-    middle[:, 40:] = middle[:, 39:40]
-    below = middle - torch.tensor([0.0, 0.0, 0.2])
-    assert torch.allclose(states.mean, below[:, :, None].expand_as(states.mean), atol=1e-5)
-    assert (states.presence > 0).all()
 
 
 @pytest.mark.parametrize("name", NETWORKS)

@@ -99,6 +99,31 @@ class Remedied(Dataset[dict[str, Tensor]]):
         return self._targets[number]
 
 
+def blind(height: float, slots: int) -> Forecaster:
+    """Return the forecaster that reads no cloud: every loop is `height` metres below the planned middle of the grippers.
+
+    The middle stays where they let go of the cloth. All slots are present, and at the same place.
+    """
+
+    def forecast(window: Mapping[str, Tensor]) -> StateTensors:
+        held = window["actions_held"]
+        last_held = torch.where(held, torch.arange(held.shape[1]), 0).cummax(dim=1).values
+        middle = window["actions"].mean(dim=2).take_along_dim(last_held[..., None], dim=1)  # (B, K, 3)
+        place = middle - torch.tensor([0.0, 0.0, height])
+        ones = place.new_ones(*place.shape[:2], slots)
+        return StateTensors(
+            corners=place[:, :, None, None].expand(-1, -1, slots, 8, -1),
+            neighbour_values=0.03 * ones[..., None].expand(-1, -1, -1, 4),
+            birth=0.03 * ones,
+            death=0.06 * ones,
+            killer_shift=0.03 * ones,
+            presence=6 * ones,
+            noise=1e-4 * ones,
+        )
+
+    return forecast
+
+
 def grippers_frame(window: Mapping[str, Tensor]) -> tuple[Tensor, Tensor]:
     """Return the origin (B, 3) and the axes (B, 3, 3), as columns, of the grippers' frame."""
     last = window["grippers"][:, -1]

@@ -37,7 +37,7 @@ import numpy as np
 import pandas as pd
 import torch
 from _paper_tables import MEASURES, lost, table_of
-from _paper_windows import GIVEN, LabelledScenes, Remedied
+from _paper_windows import GIVEN, LabelledScenes, Remedied, blind
 from forecasts import HORIZONS, Forecaster, kinds_of, measure, of_stream, of_windows, spread_windows, turned
 from numpy.typing import NDArray
 from tables import write_results
@@ -392,7 +392,7 @@ class Experiment:
         if asked.name in ("hold", "carry"):
             return of_windows(build(asked.name, self.shape).eval())
         if asked.name == "blind":
-            return of_windows(build("blind", self.shape, options={"height": self.height(asked.films)}).eval())
+            return blind(self.height(asked.films), self.shape.slots)
         if asked.name == "ridge":
             return of_windows(Predictor.load(self.ridge(asked.films)).model)
         predictor = Predictor.load(asked.checkpoint)

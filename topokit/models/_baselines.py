@@ -171,44 +171,6 @@ class Carry(Hold):
         return ahead[:, :, None] + since[:, None]
 
 
-def carried_middle(actions: Tensor, held: Tensor) -> Tensor:
-    """Return the planned middle (C, K, 3) of the grippers, which stays where they let go of the cloth.
-
-    Parameters
-    ----------
-    actions : (C, K, 2, 3)
-    held : (C, K) bool
-        A plan in which they never hold stays at its first step.
-    """
-    steps = torch.arange(held.shape[1], device=held.device).expand(held.shape)
-    last_held = torch.where(held, steps, 0).cummax(dim=1).values
-    return actions.mean(dim=2).take_along_dim(last_held[..., None], dim=1)
-
-
-class Blind(PredictiveModel):
-    """The forecast that a loop is `height` metres below the planned middle of the grippers. It reads no cloud.
-
-    It has no idea how many loops there are: all slots are present, and at the same place.
-    """
-
-    learns = False
-    inputs = ("grippers",)
-
-    def __init__(self, shape: Shape, normalisation: Normalisation, height: float = 0.0) -> None:
-        super().__init__(shape, normalisation)
-        self.height = float(height)
-
-    def gather(self, kept: Context, past: StateTensors | None) -> Context:
-        """Return nothing: the forecast depends on the plan alone."""
-        return {}
-
-    def decode(self, context: Context, actions: Tensor, held: Tensor) -> StateTensors:
-        place = carried_middle(actions, held) - actions.new_tensor([0.0, 0.0, self.height])
-        numbers = actions.new_zeros(*actions.shape[:2], self.shape.slots, NUMBERS)
-        states = self._states(numbers, place[:, :, None, None])
-        return states.replace(presence=torch.full_like(states.presence, 6.0))
-
-
 class Ridge(Hold):
     """Linear regression with a `penalty` on squared coefficients, from the last states and the plan to those of all steps.
 

@@ -21,7 +21,7 @@ import topokit
 from topokit._archive import FormatError, atomic_file, existing
 from topokit._config import from_mapping
 
-from ._baselines import Blind, Carry, Hold, Normalisation, PredictiveModel, Ridge, Shape
+from ._baselines import Carry, Hold, Normalisation, PredictiveModel, Ridge, Shape
 from ._motion import Motion
 from ._networks import MLP, PointNet
 
@@ -29,7 +29,6 @@ Model = PredictiveModel | Motion
 MODELS: Mapping[str, type[Model]] = {
     "hold": Hold,
     "carry": Carry,
-    "blind": Blind,
     "ridge": Ridge,
     "mlp": MLP,
     "pointnet": PointNet,
@@ -45,17 +44,17 @@ def build(
 ) -> Model:
     """Make a model with freshly drawn weights.
 
-    "hold", "carry", "blind" and "ridge" are baselines without a network, "mlp" and "pointnet" are the paper's networks, and
+    "hold", "carry" and "ridge" are baselines without a network, "mlp" and "pointnet" are the paper's networks, and
     "motion" is ours.
 
     Parameters
     ----------
-    name : {"hold", "carry", "blind", "ridge", "mlp", "pointnet", "motion"}
+    name : {"hold", "carry", "ridge", "mlp", "pointnet", "motion"}
     shape : Shape, optional
     normalisation : Normalisation, optional
         Means and scales of the training's windows, such as those of another model, `model.normalisation`.
     options : mapping, optional
-        For "blind" the `height`; for "ridge" the `penalty` on squared coefficients; for "mlp" and "pointnet" `skip`, and the
+        For "ridge" the `penalty` on squared coefficients; for "mlp" and "pointnet" `skip`, and the
         `hidden` units of each layer, such as (512, 256); for "mlp" also how many `points` of a cloud it reads, for "pointnet" the
         `units` of each layer that all points share; for "motion" the `width` of codes.
 

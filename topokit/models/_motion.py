@@ -273,7 +273,10 @@ class Motion(nn.Module):
         error = ((places - future).square().sum(dim=-1) + 1e-6).sqrt()
         # The negative log-density of a Laplace distribution in three dimensions, up to a constant.
         unlikely = error / scales + 3 * (scales / UNIT).log()
-        distorted = (torch.cdist(places, places) - torch.cdist(future, future)).abs()
+        # By differences, not by matrix products, which are less exact far from the origin.
+        exact = "donot_use_mm_for_euclid_dist"
+        now = torch.cdist(places, places, compute_mode=exact)
+        distorted = (now - torch.cdist(future, future, compute_mode=exact)).abs()
 
         # Points whose future is not known count neither alone nor in a pair.
         known = scene["known"].to(error)

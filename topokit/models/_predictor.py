@@ -285,7 +285,7 @@ class MotionPredictor(Predictor):
         return self._codes[key]
 
     def _states_of(self, places: Array, scales: Array) -> StateTensors:
-        """Return the states (C, 60, S) of the tracked loops from the places (C, 60, 8 S, 3) of their corners, and the scales of errors."""
+        """Return the states (C, 60, S) of the tracked loops, from their corners (C, 60, 8 S, 3) and scales of errors."""
         corners = places.reshape(*places.shape[:2], -1, 8, 3)
         edges = corners[..., :2, :]  # (C, 60, S, 2, 3) the killer edges
         present_edges = np.array([loop.killer_edge_points for loop in self.loops], np.float32).reshape(-1, 2, 3)
