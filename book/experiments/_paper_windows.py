@@ -113,10 +113,10 @@ def blind(height: float, slots: int) -> Forecaster:
         ones = place.new_ones(*place.shape[:2], slots)
         return StateTensors(
             corners=place[:, :, None, None].expand(-1, -1, slots, 8, -1),
-            neighbour_values=0.03 * ones[..., None].expand(-1, -1, -1, 4),
-            birth=0.03 * ones,
-            death=0.06 * ones,
-            killer_shift=0.03 * ones,
+            neighbour_values=0.025 * ones[..., None].expand(-1, -1, -1, 4),
+            birth=0.025 * ones,
+            death=0.05 * ones,
+            killer_shift=0.025 * ones,
             presence=6 * ones,
             noise=1e-4 * ones,
         )
