@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 import topokit as tk
-from topokit.evaluate import Overlap, distance_to_hull, score
+from topokit.evaluate import Overlap, score
 from topokit.io import load_episode
 
 TURN = np.linspace(0, 2 * np.pi, 40, endpoint=False)
@@ -71,12 +71,6 @@ def test_walks_are_a_list_of_lists():
     diagram = tk.rips_persistence(RING)
     with pytest.raises(TypeError, match=r"walks\[0\]"):
         diagram.killers_of([0, 1, 2, 3])
-
-
-@pytest.mark.parametrize(("point", "points"), [([0, 0, 0], np.zeros((0, 3))), ([0, 0], RING)])
-def test_a_distance_to_a_hull_is_of_one_point_to_some(point, points):
-    with pytest.raises(ValueError, match="point"):
-        distance_to_hull(point, points)
 
 
 def test_a_score_counts_what_a_generator_yields():

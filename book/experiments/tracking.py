@@ -25,7 +25,7 @@ from tables import draw_episodes, write_results
 from tqdm import tqdm
 
 import topokit as tk
-from topokit.evaluate import Overlap, TrackingScore, TrueLoops, compare, distance_to_hull, events, score, true_loops
+from topokit.evaluate import Overlap, TrackingScore, compare, distance_to_hull, events, score, true_loops
 from topokit.io import Episode, load_episode, save_episode, save_states
 from topokit.linking import curve_centroid
 from topokit.sensors import CloudMemory
@@ -191,7 +191,7 @@ def failures(episode: str, condition: str, tracker: str, overlaps: list[Overlap]
 def places(
     states: list[tk.TopologicalState],
     overlaps: list[Overlap],
-    truth: list[TrueLoops],
+    truth: list[Any],
     episode: Episode,
     stride: int,
 ) -> dict[str, list[float]]:
@@ -222,7 +222,7 @@ def place_of(diagram: tk.Diagram, bar: int, cloud: np.ndarray, identity: str) ->
     return curve_centroid(cloud[diagram.cycle(bar)])[None]
 
 
-def jumps(clouds: Clouds, diagrams: list[tk.Diagram], truth: list[TrueLoops]) -> dict[str, list[int]]:
+def jumps(clouds: Clouds, diagrams: list[tk.Diagram], truth: list[Any]) -> dict[str, list[int]]:
     """Return for each place of a loop the steps, and the steps in which it jumped by more than half the killer edge's length.
 
     The loop is known by the edge that ends the true one, so that no tracker is involved, and its true motion is taken away.

@@ -8,7 +8,6 @@ from typing import Any
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from topokit.evaluate import TrueLoops
 from topokit.seqph import Candidates, SeqPH, TopologicalState, assign
 
 
@@ -35,7 +34,7 @@ def by_midpoint(loops: Candidates) -> list[tuple[int, int]]:
     return assign(distance, distance < 2 * loops.alpha + loops.beta + loops.motion)
 
 
-def by_killer(truth: TrueLoops, state: TopologicalState) -> NDArray[np.float64]:
+def by_killer(truth: Any, state: TopologicalState) -> NDArray[np.float64]:
     """Return (L, k) similarities for `compare`: 1 where the true loop dies with the very killer edge of the tracked one, else 0.
 
     Exact and without a threshold, but only for states of the full cloud, whose vertices are those of the truth.

@@ -15,7 +15,6 @@ from typing import Literal
 import numpy as np
 from numpy.typing import NDArray
 
-from topokit._validate import positive
 from topokit.seqph import assign
 
 Array = NDArray[np.float64]
@@ -23,7 +22,6 @@ Ids = NDArray[np.int64]
 Kind = Literal["match", "switch", "fragment", "miss", "false positive"]
 LEVELS = np.arange(0.05, 0.99, 0.05)  # (19,) the similarities over which HOTA is averaged
 THRESHOLD = 0.5  # least similarity of a match for the other measures
-_SLACK = float(np.finfo(float).eps)
 
 
 @dataclass(frozen=True, eq=False)
@@ -118,21 +116,14 @@ def score(overlaps: Iterable[Overlap], threshold: float = THRESHOLD) -> Tracking
     overlaps : iterable of Overlap
     threshold : float
         Least similarity of a match for MOTA, IDF1, switches and fragments, above 0 and at most 1. HOTA is averaged over nineteen.
-
-    Raises
-    ------
-    ValueError
-        When the threshold is not between 0 and 1.
     """
-    if not 0 < positive(threshold, "threshold") <= 1:
-        raise ValueError(f"threshold must be above 0 and at most 1, not {threshold}")
     overlaps, shape = _numbered(list(overlaps))
     kinds = [event.kind for event in events(overlaps, threshold)]
 
     # IDF1 gives every object one identity for good: the pairs that have most frames in common.
     frames_together = np.zeros(shape)
     for overlap in overlaps:
-        frames_together[np.ix_(overlap.objects, overlap.ids)] += overlap.similarity >= threshold - _SLACK
+        frames_together[np.ix_(overlap.objects, overlap.ids)] += _reaches(overlap.similarity, threshold)
     id_matches = int(sum(frames_together[pair] for pair in greatest(frames_together)))
 
     level_matches, level_association = _higher_order(overlaps, shape)
@@ -171,7 +162,7 @@ def events(overlaps: Sequence[Overlap], threshold: float = THRESHOLD) -> Iterato
 
         # A kept match gains more than all similarities together.
         kept = np.array([[current.get(loop) == identity for identity in ids] for loop in objects])
-        gain = np.where(overlap.similarity >= threshold - _SLACK, overlap.similarity + 1000 * kept, 0)
+        gain = np.where(_reaches(overlap.similarity, threshold), overlap.similarity + 1000 * kept, 0)
         matched = {objects[row]: ids[column] for row, column in greatest(gain)}
 
         for loop in objects:
@@ -209,7 +200,7 @@ def _higher_order(overlaps: Sequence[Overlap], shape: tuple[int, int]) -> tuple[
     together = np.zeros((len(LEVELS), *shape))
     for overlap in overlaps:
         for row, column in greatest(alignment[np.ix_(overlap.objects, overlap.ids)] * overlap.similarity):
-            reached = overlap.similarity[row, column] >= LEVELS - _SLACK
+            reached = _reaches(overlap.similarity[row, column], LEVELS)
             together[reached, overlap.objects[row], overlap.ids[column]] += 1
     association = together / np.maximum(frames_of_object + frames_of_id - together, 1)
     return together.sum(axis=(1, 2)), (together * association).sum(axis=(1, 2))
@@ -231,6 +222,11 @@ def _numbered(overlaps: Sequence[Overlap]) -> tuple[list[Overlap], tuple[int, in
         columns = np.searchsorted(ids, overlap.ids)
         numbered.append(Overlap(rows, columns, np.asarray(overlap.similarity, np.float64)))
     return numbered, (len(objects), len(ids))
+
+
+def _reaches(similarity: Array, level: float | Array) -> NDArray[np.bool_]:
+    """Return whether similarities reach a level, to rounding."""
+    return np.asarray(similarity >= level - np.finfo(float).eps)
 
 
 def _share(part: int, whole: int) -> float:

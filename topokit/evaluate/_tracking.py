@@ -16,7 +16,7 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from topokit._validate import Array, Ids, as_points, as_reals, positive
+from topokit._validate import Array, Ids, as_points
 from topokit.linking import curve_centroid, side_lengths
 from topokit.rips import rips_persistence
 from topokit.sampling import spacing
@@ -35,22 +35,11 @@ def distance_to_hull(point: ArrayLike, points: ArrayLike) -> float:
     ----------
     point, points : (d,) and (n, d) array_like
 
-    Raises
-    ------
-    ValueError
-        When `point` is not one finite point, `points` is empty or no point cloud, or their dimensions differ.
     """
     from scipy.optimize import nnls
 
-    corners = as_points(points)
-    place = as_reals(point, "point").astype(np.float64)
-    if not len(corners) or place.shape != corners.shape[1:] or not np.isfinite(place).all():
-        raise ValueError(
-            f"point must be finite and of shape (d,), and points (n, d) with n of 1 or more; "
-            f"they are {place.tolist()!s:.80} and of shape {corners.shape}"
-        )
-    offsets = corners - place
-    scale = float(np.abs(offsets).max(initial=0.0))
+    offsets = as_points(points) - np.asarray(point, np.float64)
+    scale = float(np.abs(offsets).max())
     if scale == 0.0:
         return 0.0
     # Minimise |offsets^T w| over w >= 0 with sum(w) = 1, the sum kept by a heavily weighted row.
@@ -78,8 +67,6 @@ def summarise_tracks(
 ) -> list[TrackSummary]:
     """Summarise every identity, the one seen in most frames first.
 
-    Where `score` counts over a whole sequence, this has a line for each identity.
-
     Parameters
     ----------
     states : sequence of TopologicalState
@@ -87,14 +74,7 @@ def summarise_tracks(
         Positions of the garment's vertices, a row a frame of `states`.
     loops : sequence of (L,) int arrays
         True loops as vertex ids into `points`; there may be none.
-
-    Raises
-    ------
-    ValueError
-        When `points` and `states` differ in their number of frames.
     """
-    if len(points) != len(states):
-        raise ValueError(f"points has {len(points)} frames, states {len(states)}")
     rows_of: dict[int, list[int]] = {}
     for row, state in enumerate(states):
         for loop in state.loops:
@@ -156,14 +136,7 @@ def true_loops(
     alpha : float, optional
         How long the class of a loop must live to count. When not given, for each frame `topokit.sampling.spacing` of its
         vertices, as `SeqPH(loops="alpha")` has it; the default tracker estimates a smaller alpha.
-
-    Raises
-    ------
-    ValueError, TypeError
-        When a frame is no point cloud, or a loop is not a sequence of its vertex ids; `alpha` must not be negative.
     """
-    if alpha is not None:
-        alpha = positive(alpha, "alpha")
     return [_true_loops(as_points(cloud, f"frame {frame}"), loops, alpha) for frame, cloud in enumerate(points)]
 
 
@@ -194,7 +167,7 @@ def _true_loops(vertices: Array, loops: Sequence[NDArray[np.integer]], alpha: fl
 
 
 def extent(curve: Array) -> tuple[Array, float]:
-    """Return the centroid (d,) of a closed curve (n, d), by length, and the distance of the vertex farthest from it."""
+    """Return the centroid (d,) of a closed curve (n, d), by length, and the distance of its farthest vertex."""
     centre = curve_centroid(curve)
     return centre, float(np.linalg.norm(curve - centre, axis=1).max())
 
