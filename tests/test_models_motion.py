@@ -12,7 +12,7 @@ import topokit as tk
 from topokit.data import Dataset
 from topokit.models import Predictor, Scenes, Shape, build
 from topokit.models._motion import CARRIERS, KNOTS, UNIT, carried
-from topokit.models._scenes import carriers_first, flow, target_of
+from topokit.models._scenes import flow
 from topokit.seqph import SeqPH, follow
 
 from conftest import DATA
@@ -177,27 +177,6 @@ def test_flow_is_what_grippers_do_not_explain():
     assert np.allclose(found, drift, atol=1e-6)
 
 
-def test_carriers_are_spread():
-    rng = np.random.default_rng(0)
-    cloud = np.concatenate([rng.normal(0, 0.01, (300, 3)), [[0.4, 0, 0], [0, 0.4, 0]]])
-    order = carriers_first(cloud)
-    assert sorted(order.tolist()) == list(range(302))
-    assert {300, 301} <= set(order[:CARRIERS].tolist())
-    assert sorted(carriers_first(cloud[:5]).tolist()) == [0, 1, 2, 3, 4]  # fewer than there should be carriers
-
-
-def test_of_a_target_its_upper_end_is_told_and_its_floor():
-    told = target_of(np.array([[0.0, 0, -0.1], [0, 0, 1.4], [0.5, 0, 1.4]]))
-    line = told["target"]
-    assert told["floor"] == pytest.approx(-0.1)
-    assert line.shape == (16, 3)
-    assert np.allclose(line[-1], [0.5, 0, 1.4])
-    assert np.allclose(line[0], [0, 0, 1.0])  # 0.9 m of it
-    nothing = target_of(np.zeros((0, 3)))
-    assert nothing["target"].shape == (16, 3)
-    assert nothing["floor"] < -100 > nothing["target"][:, 2].max()
-
-
 def test_scenes_are_windows_of_vertices(episode):
     dataset = Dataset(FILMS)
     scenes = Scenes(dataset, dataset.episodes[:2], stride=10)
@@ -264,27 +243,6 @@ def test_a_forecast_is_as_wide_as_it_is_unsure(episode):
     assert (unsure.predict(*observed(unsure, episode)).noise > forecast.noise).all()
 
 
-def test_any_points_can_be_moved_under_many_plans(episode):
-    predictor = Predictor.of(make())
-    plan, held = observed(predictor, episode)
-    cloud, some = predictor.move(plan, held)[0], episode.points[20][[5, 50]]
-    many = predictor.move(np.stack([plan, plan + [0, 0, 0.1]]), np.stack([held, held]), some)
-    assert many[0].shape == (2, 60, 2, 3)
-    assert many[1].shape == (2, 60, 2)
-    np.testing.assert_allclose(many[0][0], cloud[:, [5, 50]], atol=1e-4)
-    assert not np.allclose(many[0][0], many[0][1], atol=1e-2)
-
-
-def test_the_order_of_points_does_not_count(episode):
-    predictor, rng = Predictor.of(make(strong=0.05)), np.random.default_rng(0)
-    plan = observed(predictor, episode)
-    one = predictor.move(*plan)[0]
-    order = rng.permutation(episode.points.shape[1])
-    observed(predictor, episode, points=episode.points[:, order])
-    other = predictor.move(*plan)[0]
-    assert np.linalg.norm(one[:, order] - other, axis=-1).mean() < 0.02  # other points are carriers, that is all
-
-
 def with_stray(predictor, episode, cloud, stray):
     """The film of a cloud that goes with the grippers, and a point in mid-air with it; the plan after it."""
     clouds = [
@@ -292,13 +250,6 @@ def with_stray(predictor, episode, cloud, stray):
         for middle in episode.grippers[:21].mean(axis=1)
     ]
     return observed(predictor, episode, points=clouds)
-
-
-def test_strays_do_not_tell_the_cloth_how_it_moves(episode):
-    cloud = episode.points[20][:150].astype(float)  # fewer than the network looks at
-    predictor, middle = Predictor.of(make()), cloud.mean(axis=0)
-    far, farther = (predictor.move(*with_stray(predictor, episode, cloud, middle + [x, x, 0]), cloud) for x in (1, 2))
-    np.testing.assert_allclose(far[0], farther[0], atol=1e-5)
 
 
 def test_a_stray_in_an_opening_does_not_end_it(episode):

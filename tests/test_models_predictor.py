@@ -17,7 +17,6 @@ from torch.utils.data import default_collate
 import topokit as tk
 from topokit._archive import FormatError
 from topokit.cli import main
-from topokit.io import load_episode
 from topokit.models import Predictor, Shape, StateTensors, TrainConfig, build, forecast_loss
 from topokit.models._baselines import Normalisation
 from topokit.models._checkpoint import save_tensors
@@ -179,17 +178,6 @@ def test_a_stream_is_the_window(window, stream, name):
     for part in ("corners", "mean", "triangles", "values"):
         assert np.allclose(getattr(forecast, part), getattr(states, part)[0], atol=1e-5)
     assert np.allclose(forecast.presence, states.presence[0], atol=1e-5)
-
-
-def test_carry_follows_the_tracked_loop_of_a_stream(episode_path):
-    episode = load_episode(episode_path)
-    predictor = Predictor(build("carry"))
-    for t in range(4, 20):
-        predictor.observe(episode.points[t], episode.grippers[t])
-    loop = predictor.predict(np.repeat(episode.grippers[19][None], 60, axis=0)).loops(0)[0]
-    truth = episode.points[19][episode.loops[0]]
-    assert np.linalg.norm(loop.mixture().mean - truth.mean(axis=0)) < 0.06
-    assert loop.slot == 0
 
 
 def test_loops_of_a_forecast(window, stream):

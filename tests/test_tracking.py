@@ -85,31 +85,6 @@ def test_scores_are_those_of_trackeval(seed):
     np.testing.assert_allclose([getattr(result, name) for name in MEASURES], TRACKEVAL[seed], rtol=0, atol=1e-9)
 
 
-@pytest.mark.parametrize("seed", range(100, 130))
-def test_scores_are_those_of_trackeval_that_is_installed(seed):
-    metrics = pytest.importorskip("trackeval.metrics")
-    frames = film(seed)
-    objects, ids = (sorted({int(i) for o in frames for i in getattr(o, name)}) for name in ("objects", "ids"))
-    data = {
-        "num_gt_ids": len(objects),
-        "num_tracker_ids": len(ids),
-        "num_timesteps": len(frames),
-        "num_gt_dets": sum(len(o.objects) for o in frames),
-        "num_tracker_dets": sum(len(o.ids) for o in frames),
-        "gt_ids": [np.searchsorted(objects, o.objects) for o in frames],
-        "tracker_ids": [np.searchsorted(ids, o.ids) for o in frames],
-        "similarity_scores": [o.similarity for o in frames],
-    }
-    options = {"THRESHOLD": 0.5, "PRINT_CONFIG": False}
-    hota = metrics.HOTA().eval_sequence(data)
-    clear = metrics.CLEAR(options).eval_sequence(data)
-    identity = metrics.Identity(options).eval_sequence(data)
-    expected = [clear["MOTA"], identity["IDF1"], *(hota[name].mean() for name in ("HOTA", "DetA", "AssA"))]
-    expected += [clear[name] for name in ("IDSW", "Frag", "CLR_FN", "CLR_FP")]
-    result = score(frames)
-    np.testing.assert_allclose([getattr(result, name) for name in MEASURES], expected, rtol=0, atol=1e-9)
-
-
 def test_scores_add_up():
     """Two films in one, the names of the second moved out of the way, are the sum of both."""
     first = film(1)
@@ -239,12 +214,6 @@ def test_baselines_on_what_they_cannot_see():
     for match, ids in ((by_midpoint, [0, 0]), (None, [0, 1])):
         tracker = SeqPH(epsilon=0.1, loops="alpha", match=match)
         assert [tracker.update(cloud).loops[0].id for cloud in (small, large)] == ids
-
-
-def test_a_diagram_matching_prefers_the_diagonal_where_that_is_nearer():
-    tracker = SeqPH(alpha=0.0, match=by_diagram)
-    ids = [tracker.update(polygon(24, size)).loops[0].id for size in (1.0, 1.3, 9.0)]
-    assert ids == [0, 0, 1]
 
 
 def test_vines_follow_a_motion_that_a_matching_loses():
