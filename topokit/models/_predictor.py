@@ -43,7 +43,15 @@ class Predictor:
 
     @staticmethod
     def of(model: Model, description: Mapping[str, Any] | None = None) -> Predictor:
-        """Return the predictor of a model: of a model of motion it is a `MotionPredictor`."""
+        """Return the predictor of a model: of a model of motion it is a `MotionPredictor`.
+
+        Parameters
+        ----------
+        model : PredictiveModel or Motion
+            The answer of `build`.
+        description : mapping, optional
+            The description in its checkpoint.
+        """
         kind = MotionPredictor if isinstance(model, Motion) else Predictor
         return kind(model, description)
 

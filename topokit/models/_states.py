@@ -94,7 +94,14 @@ class StateTensors:
 
     @classmethod
     def from_tracks(cls, states: Sequence[TopologicalState], slots: int) -> StateTensors:
-        """Return tracked states (1, h, slots); the slots are the loops with the longest lifetimes on the mean over frames."""
+        """Return tracked states (1, h, slots); the slots are the loops with the longest lifetimes on the mean over frames.
+
+        Parameters
+        ----------
+        states : sequence of TopologicalState
+            Of h frames.
+        slots : int
+        """
         total: defaultdict[int, float] = defaultdict(float)
         for state in states:
             for loop in state.loops:
