@@ -6,10 +6,6 @@ import csv
 import dataclasses
 import json
 import shutil
-import signal
-import subprocess
-import sys
-import time
 from pathlib import Path
 
 import pytest
@@ -105,37 +101,6 @@ def test_interrupted_and_resumed_is_as_undisturbed(tmp_path, windows, scenes, st
     assert same(weights(tmp_path / "whole"), weights(tmp_path / "parts"))
     for row, other in zip(log(tmp_path / "whole"), log(tmp_path / "parts"), strict=True):
         assert row | {"seconds": 0} == other | {"seconds": 0}
-
-
-def test_killed_and_resumed_is_as_undisturbed(tmp_path, windows):
-    """SIGKILL at some moment after the first checkpoint, in a process of its own."""
-    code = """
-import sys
-sys.path.insert(0, sys.argv[2])
-import torch
-torch.set_num_threads(1)
-from test_models_training import config
-from topokit.models import train
-from windows import RingWindows
-data = RingWindows(96, seed=0), RingWindows(24, seed=1), "rings"
-train(config(epochs=20, patience=99), sys.argv[1], data)
-"""
-    here = str(Path(__file__).parent)
-    process = subprocess.Popen([sys.executable, "-c", code, str(tmp_path / "killed"), here])
-    while not (tmp_path / "killed" / "last.safetensors").exists():
-        assert process.poll() is None
-        time.sleep(0.01)
-    process.send_signal(signal.SIGKILL)
-    assert process.wait() == -signal.SIGKILL
-    threads = torch.get_num_threads()
-    torch.set_num_threads(1)
-    try:
-        for name in ("killed", "whole"):
-            answer = train(config(epochs=20, patience=99), tmp_path / name, windows)
-            assert answer["steps"] == 20 * 6
-    finally:
-        torch.set_num_threads(threads)
-    assert same(weights(tmp_path / "killed"), weights(tmp_path / "whole"))
 
 
 def test_early_stopping(tmp_path, windows):

@@ -21,11 +21,11 @@ from topokit.data import Dataset as Films
 from topokit.data import WindowDataset
 from topokit.models import Scenes, StateTensors
 from topokit.models._motion import CARRIERS, KNOTS
-from topokit.models._scenes import ASKED
 from topokit.seqph import Loop, TopologicalState
 
 PLACES = ("clouds", "grippers", "actions", "triangles", "past_triangles")
 ON_TARGET = 4  # points of the target's line that a network is given
+ASKED = 16  # vertices that a scene asks for
 GIVEN = {"grippers": 2, "target": ON_TARGET, "floor": 1}
 
 
