@@ -182,7 +182,7 @@ class MotionPredictor(Predictor):
         self._untracked: deque[NDArray[np.float64]] = deque(maxlen=self.model.shape.history)
         self._codes: dict[bytes, Codes] = {}
         self.tracker = SeqPH()  #: the tracker of the clouds observed
-        self.loops: tuple[Loop, ...] = ()  #: the loops of the last cloud, as of the last call of `predict`
+        self.loops: tuple[Loop, ...] = ()  #: the loops of the last cloud that was tracked
 
     def observe(
         self, points: ArrayLike, grippers: ArrayLike | None = None, held: bool = True, target: ArrayLike | None = None
@@ -211,7 +211,7 @@ class MotionPredictor(Predictor):
             Frames ahead, 1 to 60, at which loops are read off the moved cloud; for a single plan only. A loop that is born there
             has a slot after those of the tracked loops, and is present at these frames only.
         """
-        self._track()
+        self.track()
         ids = np.array([_corners(loop)[0] for loop in self.loops], dtype=np.int64)  # (S, 8)
         plans = np.asarray(actions, np.float32).reshape(-1, *np.shape(actions)[-3:])
 
@@ -263,7 +263,7 @@ class MotionPredictor(Predictor):
         scales = _at_all_frames(np.concatenate([scales[:, :1], scales], axis=1))
         return (places, scales) if np.ndim(actions) == 4 else (places[0], scales[0])
 
-    def _track(self) -> None:
+    def track(self) -> None:
         """Track the loops of the clouds observed since; a forecast of points alone does not need them."""
         while self._untracked:
             self.loops = self.tracker.update(self._untracked.popleft()).loops[: self.model.shape.slots]
