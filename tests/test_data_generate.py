@@ -205,7 +205,7 @@ def test_a_hang_is_stopped(tmp_path):
     dataset = generate_dataset(slow, tmp_path, 1, SEED, time_limit=1.0, progress=False)
     assert time.monotonic() - start < 60
     assert dataset.counts == {"failed": 1}
-    assert "no sign of life for 1 s" in dataset.failures[0].reason
+    assert "stopped after 1 s" in dataset.failures[0].reason
 
 
 def test_what_is_not_physical_is_recorded_as_rejected(tmp_path):

@@ -16,7 +16,7 @@ pytest.importorskip("pybullet")
 from topokit._processes import ProcessError, in_fresh_processes
 from topokit.sim import WARDROBE, SimulationConfig, SimulationError, simulate
 
-from fresh_jobs import count_up, crash_until_third, divide, do, wait
+from fresh_jobs import crash_until_third, divide, do, temporary, wait
 from small_datasets import wait_until
 
 pytestmark = pytest.mark.skipif(os.name != "posix", reason="signals")
@@ -52,7 +52,7 @@ def test_each_item_has_a_process_of_its_own_and_an_error_is_an_outcome():
 
 @pytest.mark.parametrize(
     ("what", "says"),
-    [("crash", "signal 11"), ("kill", "signal 9"), ("leave", "exit code 3"), ("hang", "no sign of life")],
+    [("crash", "signal 11"), ("kill", "signal 9"), ("leave", "exit code 3"), ("hang", "stopped after 5 s")],
 )
 def test_what_fails_costs_one_item(what, says):
     outcomes = dict(in_fresh_processes(do, ["a", what, "b"], n_workers=2, time_limit=5))
@@ -69,10 +69,8 @@ def test_a_crash_that_passes_is_tried_again(tmp_path):
     assert list(in_fresh_processes(crash_until_third, [path], tries=3)) == [(path, "done")]
 
 
-def test_reports_are_signs_of_life_and_temporary_files_go():
-    seen: list[int] = []
-    ((_, folder),) = in_fresh_processes(count_up, [8], time_limit=2.0, report=seen.append)
-    assert seen == [*range(8)]
+def test_temporary_files_go():
+    ((_, folder),) = in_fresh_processes(temporary, [8])
     assert "topokit-" in folder
     assert not os.path.exists(folder)
 
@@ -89,15 +87,16 @@ def test_a_script_is_not_run_again_nor_a_module_of_the_working_directory(tmp_pat
     assert len(done.stdout.splitlines()) == 1  # the script ran once, and PyBullet printed nothing
 
 
-def test_a_simulation_that_hangs_says_where(monkeypatch):
+def test_a_simulation_that_hangs_is_stopped():
     apron = WARDROBE["apron"](spacing=0.05, strap_width=0.05)
     config = SimulationConfig(frames=2, steps_per_frame=3_000_000, settle=0)
-    with pytest.raises(SimulationError, match="after frame 0: stopped: no sign of life for 20 s"):
+    with pytest.raises(SimulationError, match="stopped after 20 s"):
         simulate(apron, config=config, n_observed=50, time_limit=20)
 
 
-def test_ctrl_c_stops_the_processes(tmp_path, ctrl_c):
+def test_ctrl_c_stops_the_processes(tmp_path):
     pids = tmp_path / "pids"
+    before = signal.signal(signal.SIGINT, signal.default_int_handler)
 
     def interrupt() -> None:
         wait_until(pids.exists)
@@ -106,6 +105,7 @@ def test_ctrl_c_stops_the_processes(tmp_path, ctrl_c):
     threading.Thread(target=interrupt, daemon=True).start()
     with pytest.raises(KeyboardInterrupt):
         list(in_fresh_processes(wait, [str(pids)]))
+    signal.signal(signal.SIGINT, before)
     wait_until(lambda: is_gone(pids.read_text().split()[1]), seconds=10)
 
 
