@@ -13,7 +13,7 @@ import pytest
 from topokit._config import load
 from topokit.data import DatasetConfig
 from topokit.data._recipe import _physics, _scene
-from topokit.sim import Cloth, Randomisation, SimulationConfig
+from topokit.sim import Randomisation, SimulationConfig
 
 from small_datasets import TINY, write_cloth
 
@@ -90,7 +90,7 @@ def own(mesh, **values):
 def test_a_mesh_weighs_by_its_area_and_ranges_are_factors(bag):
     config = own(bag)
     garment = config.garment("bag-hook")
-    cloth, usual = Cloth().config(garment), SimulationConfig()
+    cloth, usual = SimulationConfig.of(garment), SimulationConfig()
     physics, ranges = _physics(config, garment)
     assert physics.mass == cloth.mass != usual.mass
     assert physics.steps_per_frame == cloth.steps_per_frame

@@ -12,7 +12,7 @@ pytest.importorskip("pybullet")
 import trimesh
 
 from topokit.linking import close_far, linking_number, side_lengths
-from topokit.sim import WARDROBE, Garment, Hook, find_loops
+from topokit.sim import WARDROBE, Garment, Hook
 
 from conftest import polygon
 
@@ -121,20 +121,20 @@ def test_vertices_at_one_place_become_one_and_loops_may_name_any_of_them():
 
 
 def test_loops_are_the_borders_the_longest_first():
-    loops = find_loops(annulus(12, 1.0, 3.0))
+    loops = Garment.find_loops(annulus(12, 1.0, 3.0))
     assert [*loops] == ["loop 1", "loop 2"]
     assert [sorted(loop.tolist()) for loop in loops.values()] == [[*range(12)], [*range(12, 24)]]
     shirt = WARDROBE["shirt"]()
-    found = find_loops(mesh_of(shirt))
+    found = Garment.find_loops(mesh_of(shirt))
     assert {frozenset(loop.tolist()) for loop in found.values()} == {frozenset(loop.tolist()) for loop in shirt.loops}
     lengths = [side_lengths(shirt.vertices[loop]).sum() for loop in found.values()]
     assert lengths == sorted(lengths, reverse=True)
 
 
 def test_loops_of_a_closed_surface_are_those_of_persistence():
-    assert find_loops(trimesh.creation.icosphere(subdivisions=2)) == {}
+    assert Garment.find_loops(trimesh.creation.icosphere(subdivisions=2)) == {}
     torus = trimesh.creation.torus(0.3, 0.1, major_sections=32, minor_sections=16)
-    along, around = (torus.vertices[loop] for loop in find_loops(torus).values())
+    along, around = (torus.vertices[loop] for loop in Garment.find_loops(torus).values())
     # One goes once around the axis and the other once around the core.
     axis = close_far(np.array([[0, 0, -1.0], [0, 0, 1.0]]))
     core = 0.3 * np.column_stack([polygon(64), np.zeros(64)])

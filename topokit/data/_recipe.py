@@ -20,7 +20,6 @@ from topokit.io import Episode
 from topokit.sim import (
     TASKS,
     Camera,
-    Cloth,
     Garment,
     Hanger,
     Hook,
@@ -45,7 +44,7 @@ class Draw(NamedTuple):
 class DatasetConfig:
     """The configuration of a dataset: the random draws of its episodes, their simulation and their observation.
 
-    A mesh of one's own has the physics of `topokit.sim.Cloth` for its area and edges. Numbers of `simulation` that differ from
+    A mesh of one's own has the physics of `topokit.sim.SimulationConfig.of`. Numbers of `simulation` that differ from
     the default replace them. Its time step is the smaller of the two, and its frame time is given by `simulation`. The ranges
     of `randomisation` are then factors: a mass twice as large as in `simulation` is drawn from twice the range.
 
@@ -144,7 +143,7 @@ def _physics(config: DatasetConfig, garment: Garment) -> tuple[SimulationConfig,
     ranges = config.randomisation
     if garment.name not in config.meshes:
         return usual, ranges
-    cloth = Cloth().config(garment)
+    cloth = SimulationConfig.of(garment)
     default = SimulationConfig()
 
     # Numbers of the configuration that differ from the default are kept.

@@ -10,11 +10,9 @@ from topokit._lazy import attach
 
 if TYPE_CHECKING:
     from ._camera import Camera
-    from ._cloth import Cloth
     from ._env import HangEnv
     from ._episode import simulate
     from ._garments import Garment
-    from ._mesh import find_loops
     from ._randomisation import Randomisation
     from ._targets import Hanger, Hook, Mannequin
     from ._tasks import TASKS, Task

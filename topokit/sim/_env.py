@@ -22,8 +22,7 @@ from topokit.io import Episode
 from topokit.sampling import farthest_point_sample
 
 from ._camera import Camera
-from ._cloth import usual_config
-from ._episode import as_episode, is_at_rest
+from ._episode import as_episode, is_at_rest, usual_config
 from ._garments import Garment
 from ._targets import Target
 from ._tasks import Task, resolved

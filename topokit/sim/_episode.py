@@ -23,12 +23,12 @@ from topokit.io import HISTORY, HORIZON, Episode, wardrobe_names
 from topokit.sampling import farthest_point_sample
 
 from ._camera import Camera
-from ._cloth import usual_config
 from ._garments import Garment
 from ._randomisation import Randomisation
 from ._surface import Array
 from ._targets import Rod, Target
 from ._tasks import Task, resolved
+from ._wardrobe import WARDROBE
 from ._world import SimulationConfig, SimulationError, World, check_stretch
 
 # The arrays of a recording, a row a frame: points (T, N, 3), grippers and actions (T, 2, 3), held (T,), stretch (T, 2), and
@@ -75,7 +75,7 @@ def simulate(
     seed : int
         Seed of everything random. Path, physics, cameras and their noise each have a generator of their own.
     config : SimulationConfig, optional
-        When not given, `SimulationConfig()` for a garment of `WARDROBE`, and `Cloth().config(garment)` for any other.
+        When not given, `SimulationConfig()` for a garment of `WARDROBE`, and `SimulationConfig.of(garment)` for any other.
     randomisation : Randomisation, optional
         The ranges from which physics, size and cameras are drawn. Without it nothing varies but the path.
     cameras : sequence of Camera, optional
@@ -165,6 +165,11 @@ def record_afresh(run: Run, time_limit: float) -> Recording:
     if isinstance(recording, Exception):
         raise recording
     return dict(recording)
+
+
+def usual_config(garment: Garment) -> SimulationConfig:
+    """Return the default physics of a garment: the standard one for the wardrobe, else one for its area and edges."""
+    return SimulationConfig() if garment.name in WARDROBE else SimulationConfig.of(garment)
 
 
 def is_at_rest(before: Array, points: Array, seconds: float) -> bool:

@@ -115,6 +115,19 @@ class Garment:
             tuple(cycles),
         )
 
+    @staticmethod
+    def find_loops(mesh: str | Path | trimesh.Trimesh) -> dict[str, Ids]:
+        """Return the loops of a mesh by the names "loop 1", "loop 2", ..., the longest first.
+
+        They are the borders of the mesh. Where these do not generate all classes of loops, they are representative cycles of
+        the persistence of distances along the mesh. Each is a closed cycle (L,) of vertex ids, as `from_mesh` takes them.
+
+        Parameters
+        ----------
+        mesh : path or trimesh.Trimesh
+        """
+        return Surface(mesh).loops()
+
     @property
     def named_loops(self) -> dict[str, Ids]:
         """Return the true loops by their names."""

@@ -43,7 +43,7 @@ class Surface:
         return np.searchsorted(self.used, known)
 
     def loops(self) -> dict[str, Ids]:
-        """Return the loops of `find_loops`."""
+        """Return the loops of `Garment.find_loops`."""
         cycles = border_cycles(self.faces)
         # By Euler's formula; a closed surface has a class in dimension 2, too.
         n_classes = 1 - len(self.used) + len(self.edges) - len(self.faces) + (not cycles)
@@ -75,24 +75,6 @@ class Surface:
         }
         missing = [f"{name} ({candidates[name]})" for name, value in arguments.items() if value is None]
         return f"a mesh does not say these: give {'; '.join(missing)}"
-
-
-def find_loops(mesh: str | Path | trimesh.Trimesh) -> dict[str, Ids]:
-    """Return the loops of a mesh by the names "loop 1", "loop 2", ..., the longest first.
-
-    They are the borders of the mesh. Where these do not generate all classes of loops, they are representative cycles of the
-    persistence of distances along the mesh. Appendix C draws them.
-
-    Parameters
-    ----------
-    mesh : path or trimesh.Trimesh
-
-    Returns
-    -------
-    dict of str to (L,) array of int
-        Closed cycles of vertex ids along edges, as the mesh, or `trimesh.load_mesh` of the file, numbers them.
-    """
-    return Surface(mesh).loops()
 
 
 def held_upright(vertices: Array, up: str, grips: Ids) -> Array:

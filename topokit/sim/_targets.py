@@ -150,10 +150,6 @@ class Hanger(_Target):
 
     name = "hanger"
 
-    def __post_init__(self) -> None:
-        if self.drop >= self.width / 2:
-            raise ValueError(f"drop {self.drop} makes the arms steeper than 45 degrees: width is {self.width}")
-
     @property
     def _line(self) -> Array:
         """Return the centre line (6, 3) through the near arm.
@@ -213,15 +209,6 @@ class Mannequin(_Target):
     torso_length: Positive = 0.5  #: distance from the top of the shoulders to the hips
 
     name = "mannequin"
-
-    def __post_init__(self) -> None:
-        for name, part in (("head_height", "head_radius"), ("shoulder_width", "depth"), ("torso_length", "depth")):
-            if getattr(self, name) < 2 * getattr(self, part):
-                raise ValueError(f"{name} {getattr(self, name)} must be at least twice {part}")
-        if self.neck_radius >= self.head_radius:
-            raise ValueError(f"neck_radius {self.neck_radius} must be less than head_radius {self.head_radius}")
-        if self.shoulder_height <= self.torso_length:
-            raise ValueError(f"height {self.height} puts the hips below the floor")
 
     @property
     def shoulder_height(self) -> float:
