@@ -18,7 +18,7 @@ from topokit._config import from_mapping
 from topokit.control import Servo
 from topokit.data import DatasetConfig
 from topokit.models import TrainConfig
-from topokit.sim import WARDROBE, Garment
+from topokit.sim import WARDROBE
 
 ROOT = Path(__file__).parents[1]
 PAGE = (ROOT / "book" / "your_own.md").read_text()
@@ -36,8 +36,7 @@ def test_the_bib_is_read_in_the_size_that_the_films_have(tmp_path, monkeypatch):
     exec(piece("lines.append"), {})
     exec(piece("from_mesh"), {})
     films = from_mapping(DatasetConfig, FILES[0], "bib.json")
-    mesh = films.meshes["bib"]
-    garment = Garment.from_mesh(mesh.file, up=mesh.up, unit=mesh.unit, grips=mesh.grips, loops=mesh.loops)
+    garment = films.garment("bib-hook")
     assert garment.loop_names == ("neck",)
     assert np.ptp(garment.vertices, axis=0).max() == pytest.approx(16 * 0.0254)
     neck = garment.vertices[garment.loops[0]]
