@@ -164,7 +164,7 @@ def test_something_else_is_refused(undisturbed, changes, says):
 def test_other_versions_are_refused(undisturbed, monkeypatch):
     version = _folder.version
     monkeypatch.setattr(_folder, "version", lambda package: "99" if package == "numpy" else version(package))
-    with pytest.raises(ValueError, match=r"versions\.numpy.*use the same versions"):
+    with pytest.raises(ValueError, match=r"versions\.numpy"):
         generate_dataset(TINY, undisturbed, EPISODES, SEED, progress=False)
 
 

@@ -25,7 +25,6 @@ from pathlib import Path
 from typing import Annotated, Any, Literal
 
 import numpy as np
-from numpy.typing import NDArray
 from pydantic import Field
 
 from topokit import __version__
@@ -71,15 +70,10 @@ class NumberedFiles:
         self._about = about
         self._known: dict[int, Record] = {}
         # Names are listed now; a header is read on first use of its record.
-        found: dict[str, set[int]] = {"npz": set(), "json": set()}
-        for name in os.listdir(self.folder):
-            number = number_of(name)
-            if number is not None:
-                found[name.rpartition(".")[2]].add(number)
-        self.episodes: NDArray[np.int64] = np.array(
-            sorted(found["npz"]), dtype=np.int64
-        )  #: (n,) numbers of the whole episodes
-        self.refused: list[int] = sorted(found["json"] - found["npz"])  #: numbers of the rejected and failed episodes
+        matches = [re.fullmatch(r"(\d{8})\.(npz|json)", name) for name in os.listdir(self.folder)]
+        numbers = {kind: {int(match[1]) for match in matches if match and match[2] == kind} for kind in ("npz", "json")}
+        self.episodes = np.array(sorted(numbers["npz"]), dtype=np.int64)  #: (n,) numbers of the whole episodes
+        self.refused = sorted(numbers["json"] - numbers["npz"])  #: numbers of the rejected and failed episodes
 
     @cached_property
     def records(self) -> tuple[Record, ...]:
@@ -156,12 +150,6 @@ class NumberedFiles:
         return digest.hexdigest()
 
 
-def number_of(name: str) -> int | None:
-    """Return the number of the episode that a file is named after; None for any other file."""
-    match = re.fullmatch(r"([0-9]{8})\.(npz|json)", name)
-    return int(match[1]) if match else None
-
-
 def archive_path(folder: Path, number: int) -> Path:
     """Return the path of a whole episode."""
     return folder / f"{number:08d}.npz"
@@ -218,14 +206,11 @@ def remove_parts(folder: Path) -> None:
 def _refuse_other(old: Any, new: Any, folder: str, name: str = "") -> None:
     """Raise ValueError when two settings differ in anything but the number of episodes; name the first difference."""
     if isinstance(old, dict) and isinstance(new, dict):
-        for key in sorted({*old, *new}):
-            if name or key != "episodes":
-                _refuse_other(old.get(key), new.get(key), folder, f"{name}.{key}" if name else key)
+        for key in sorted({*old, *new} - {"episodes"}):
+            _refuse_other(old.get(key), new.get(key), folder, f"{name}.{key}".strip("."))
     elif old != new:
-        cure = "give the same"
-        if name.startswith("versions"):
-            cure = "bytes might differ: use the same versions"
-        raise ValueError(f"{folder} was begun with {name} = {old!r}, this is {name} = {new!r}; {cure}, or a new folder")
+        cure = "give the same, or a new folder"
+        raise ValueError(f"{folder} was begun with {name} = {old!r}, this is {name} = {new!r}: {cure}")
 
 
 def versions_of(*packages: str) -> dict[str, str]:

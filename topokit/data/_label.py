@@ -93,16 +93,13 @@ def _settings(dataset: Dataset, observation: str, n_points: int | None, options:
         raise ValueError(
             f"n_points must be a number of points, at least 4, of an observation of vertices, not {n_points}"
         )
-    return LabelSettings(2, observation, n_points, _all_options(options), versions_of("numpy", "scipy"))  # type: ignore[arg-type]
-
-
-def _all_options(options: Mapping[str, Any]) -> dict[str, Any]:
-    """Return all options of a tracker, with defaults where none was given."""
+    # All options of the tracker are stored, with defaults where none was given.
     SeqPH(**options)  # refuses an unknown option
     if options.get("match") is not None:
         raise ValueError("options: match is a function, which cannot be stored beside the labels")
     parameters = inspect.signature(SeqPH).parameters
-    return {name: options.get(name, parameter.default) for name, parameter in parameters.items() if name != "match"}
+    stored = {name: options.get(name, parameter.default) for name, parameter in parameters.items() if name != "match"}
+    return LabelSettings(2, observation, n_points, stored, versions_of("numpy", "scipy"))  # type: ignore[arg-type]
 
 
 def _label_episode(folder: str, name: str, number: int) -> str:

@@ -35,9 +35,8 @@ class Labels(NumberedFiles):
 
     def __init__(self, folder: Path) -> None:
         super().__init__(folder, KIND, ABOUT)
-        self.settings: LabelSettings = read_settings(
-            LabelSettings, folder / ABOUT
-        )  #: the settings with which the labels were made
+        #: the settings with which the labels were made
+        self.settings: LabelSettings = read_settings(LabelSettings, folder / ABOUT)
 
     @property
     def options(self) -> dict[str, Any]:
@@ -46,7 +45,9 @@ class Labels(NumberedFiles):
 
     def cloud(self, episode: Episode) -> NDArray[np.float32]:
         """Return the cloud that was tracked in an episode, (T, n, 3) metres: all vertices, or the first observed points."""
-        return cloud_of(episode, self.settings)
+        if self.settings.observation == "full":
+            return episode.points
+        return episode.observed[:, : self.settings.n_points]
 
     def arrays(self, number: int, clouds: NDArray[np.float32]) -> dict[str, NDArray[Any]]:
         """Return the arrays of labels of an episode (`topokit.io.state_arrays`), given its cloud (T, n, 3) that was tracked."""
@@ -57,10 +58,3 @@ class Labels(NumberedFiles):
         except (KeyError, ValueError) as error:
             raise FormatError(f"{path}: {error}; remove the file and label again") from error
         return arrays
-
-
-def cloud_of(episode: Episode, settings: LabelSettings) -> NDArray[np.float32]:
-    """Return the cloud (T, n, 3) of an episode that is tracked with these settings, metres."""
-    if settings.observation == "full":
-        return episode.points
-    return episode.observed[:, : settings.n_points]

@@ -21,7 +21,6 @@ from topokit.sampling import farthest_point_sample
 from topokit.seqph import track
 
 from ._dataset import Dataset
-from ._labels import cloud_of
 
 Array = NDArray[np.float32]
 Ticks = NDArray[np.signedinteger[Any]]
@@ -299,7 +298,7 @@ class WindowDataset(torch.utils.data.Dataset[dict[str, torch.Tensor]]):
     def _tracked_clouds(self, episode: Episode, number: int) -> Ticks:
         """Return the clouds (T, n, 3) on which the states of an episode were tracked."""
         if self.observe is None:
-            return as_ticks(cloud_of(episode, self.dataset.labels(self.labels).settings))
+            return as_ticks(self.dataset.labels(self.labels).cloud(episode))
         clouds = as_metres(self._sampled(episode)).astype(np.float64)
         return as_ticks(self.observe(number, clouds), "clouds")
 
