@@ -59,7 +59,7 @@ def test_without_numba_every_cloud_is_paired_in_plain_python(tmp_path):
     answers = []
     for block in (
         "",
-        "import importlib.util as u; find = u.find_spec; u.find_spec = lambda n: n != 'numba' and find(n)\n",
+        "import importlib.util as u; find = u.find_spec; u.find_spec = lambda n: None if n == 'numba' else find(n)\n",
     ):
         done = run(
             block + LARGE.replace("2500", "1900") + "import sys; print('numba' in sys.modules)", tmp_path, tmp_path

@@ -251,7 +251,6 @@ TWO_PARTS = np.column_stack([np.vstack([polygon(3), polygon(3) + 5]), np.zeros(6
         ({"loops": (np.array([0, 1]),)}, r"loops\[0\]"),
         ({"grips": np.array([1, 1])}, "grips"),
         ({"loop_names": ("neck", "hem")}, "loop_names"),
-        ({"loop_names": (1,)}, "loop_names"),
         ({"loops": (np.arange(4), np.arange(4)), "loop_names": ("neck", "neck")}, "loop_names"),
     ],
 )

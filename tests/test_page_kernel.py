@@ -155,16 +155,13 @@ def test_a_film_is_tracked_as_by_the_library(k, ids):
     assert len(seen) == ids
 
 
-def test_films_that_the_library_refuses_are_refused():
+def test_a_film_with_an_empty_frame_is_refused():
     cloud = np.random.default_rng(0).normal(size=(20, 3))
     call = f"(film) => {{ try {{ return ({TRACK})(film).length; }} catch (error) {{ return error.message; }} }}"
-    refused = [[cloud, 1000 * cloud], [cloud, cloud[:0]]]
-    kept = [[cloud, 1000 * cloud[:1]], [cloud, np.vstack([10 * cloud, cloud])]]
-    cases = [{"frames": [frame.ravel().tolist() for frame in film], "d": 3} for film in refused + kept]
-    answers = by_script(SCRIPTS, call, cases)
-    for film, answer in zip(refused, answers, strict=False):
-        with pytest.raises(ValueError, match="frame 1"):
-            track(film)
-        assert "frame 1" in answer
-    for film, answer in zip(kept, answers[2:], strict=True):
-        assert answer == len(track(film)) == 2
+    films = [[cloud, cloud[:0]], [cloud, 1000 * cloud]]
+    cases = [{"frames": [frame.ravel().tolist() for frame in film], "d": 3} for film in films]
+    refused, kept = by_script(SCRIPTS, call, cases)
+    with pytest.raises(ValueError, match="frame 1"):
+        track(films[0])
+    assert "frame 1" in refused
+    assert kept == len(track(films[1])) == 2

@@ -22,7 +22,6 @@ function seqphKernel({ persistence }, assign) {
   const BARS = 100; // bars; the noise of fewer is not known
   const GRID = 1.3; // unevenness of points of a grid, whose bars are so short that they are no measure of noise
   const QUIET = 0.72; // least significance of a loop in a cloud without noise
-  const OTHER_UNITS = 20; // factor of size above which the units of two frames differ
 
   function quantile(values, share) { // linear between neighbours
     const sorted = Float64Array.from(values).sort();
@@ -54,7 +53,7 @@ function seqphKernel({ persistence }, assign) {
       if (last.every((gap) => gap <= far)) break;
       kept = kept.filter((_, i) => last[i] <= far);
     }
-    const frame = { used: Int32Array.from(kept.flat()).sort(), places, size: kept.length, alpha: 0, spacing: 0, unevenness: 1, extent: 0, widest: 0 };
+    const frame = { used: Int32Array.from(kept.flat()).sort(), places, size: kept.length, alpha: 0, spacing: 0, unevenness: 1 };
     if (kept.length < 2) return frame;
 
     // Points strewn at random have far fifth neighbours, and some far nearest ones; the smaller of the two measures counts.
@@ -66,8 +65,6 @@ function seqphKernel({ persistence }, assign) {
       alpha: quantile(firsts, 0.95) / 2,
       spacing: fifth,
       unevenness: Math.min(fifth / first, (1.4 * quantile(firsts, 0.9)) / first),
-      extent: Math.max(...axes.map((values) => Math.max(...values) - Math.min(...values))),
-      widest: Math.max(...firsts),
     });
   }
 
@@ -146,9 +143,6 @@ function seqphKernel({ persistence }, assign) {
 
   function check(t, frame, before) {
     if (frame.size === 0) throw new Error(`frame ${t} has no points`);
-    const differ = (size, old) => Math.min(size, old) > 0 && Math.max(size, old) > OTHER_UNITS * Math.min(size, old);
-    if (before && differ(frame.extent, before.extent) && differ(frame.widest, before.widest))
-      throw new Error(`frame ${t} is ${frame.extent.toPrecision(4)} across, and the frame before it ${before.extent.toPrecision(4)}: they seem to be in different units`);
   }
 
   function track(clouds, d, { onProgress } = {}) {
