@@ -26,6 +26,7 @@ from .seqph import Loop, TopologicalState
 
 __all__ = ["Episode", "FormatError", "load_episode", "load_states", "save_episode", "save_states"]
 
+Clouds = Sequence[NDArray[Any]] | NDArray[Any]  # of a film, (n, d) each
 SCHEMA = 2
 # Frames that a forecast looks back on, and frames that it looks ahead to (Antonova et al. 2021, section 5).
 HISTORY = 16
@@ -328,7 +329,7 @@ def state_arrays(states: Sequence[TopologicalState], slots: int) -> dict[str, ND
 
 
 def states_of(
-    arrays: Mapping[str, NDArray[Any]], clouds: Sequence[NDArray[Any]], times: Sequence[float]
+    arrays: Mapping[str, NDArray[Any]], clouds: Clouds, times: Sequence[float] | NDArray[np.float64]
 ) -> list[TopologicalState]:
     """Return the tracked states of such arrays, given the clouds (n, d) that were tracked and their times."""
     states = []
@@ -409,7 +410,7 @@ def save_states(path: str | Path, states: Sequence[TopologicalState]) -> Path:
     return save_archive(path, "topokit-states", {"schema": 4}, arrays)
 
 
-def load_states(path: str | Path, clouds: Sequence[NDArray[Any]]) -> list[TopologicalState]:
+def load_states(path: str | Path, clouds: Clouds) -> list[TopologicalState]:
     """Read states that `save_states` wrote.
 
     Parameters
@@ -436,7 +437,7 @@ def load_states(path: str | Path, clouds: Sequence[NDArray[Any]]) -> list[Topolo
         raise FormatError(f"{path}: {error}; track the clouds again") from error
 
 
-def check_states(arrays: Mapping[str, NDArray[Any]], clouds: Sequence[NDArray[Any]]) -> None:
+def check_states(arrays: Mapping[str, NDArray[Any]], clouds: Clouds) -> None:
     """Raise ValueError unless arrays of states have their layout and name points of these clouds."""
     check_layout(arrays, _STATES_LAYOUT)
     if len(arrays["id"]) != len(clouds):

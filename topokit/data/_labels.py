@@ -49,7 +49,7 @@ class Labels(NumberedFiles):
             return episode.points
         return episode.observed[:, : self.settings.n_points]
 
-    def arrays(self, number: int, clouds: NDArray[np.float32]) -> dict[str, NDArray[Any]]:
+    def arrays(self, number: int, clouds: NDArray[Any]) -> dict[str, NDArray[Any]]:
         """Return the arrays of labels of an episode (`topokit.io.state_arrays`), given its cloud (T, n, 3) that was tracked."""
         path = self.path_of(number)
         _, arrays = load_archive(path, KIND)

@@ -8,7 +8,7 @@ from __future__ import annotations
 from collections.abc import Sequence
 
 import numpy as np
-from numpy.typing import ArrayLike
+from numpy.typing import ArrayLike, NDArray
 
 from topokit._validate import Array, as_reals
 from topokit.sampling import farthest_point_sample, inliers
@@ -93,7 +93,7 @@ class Cleaner:
         return after
 
 
-def _on_largest_plane(points: Array, thickness: float) -> Array:
+def _on_largest_plane(points: Array, thickness: float) -> NDArray[np.bool_]:
     """Return which points (n, 3) are within a distance of the plane that has the most of them, by RANSAC on 2,000 of them."""
     sample = points[:: max(1, len(points) // 2000)]
     rng = np.random.default_rng(0)

@@ -121,9 +121,10 @@ def _clouds_of(array: Array, file: Path, options: _Options) -> Iterator[Array]:
 
 def _places(rows: Array, options: _Options) -> Array:
     """Return the columns of rows that are a place, in metres."""
-    columns = list(options.columns)[: rows.shape[1]]
-    if len(columns) < 2 or not all(isinstance(column, int) and column < rows.shape[1] for column in columns):
-        raise ValueError(f"a row has {rows.shape[1]} numbers, and the columns {columns} are no place among them")
+    asked = options.columns[: rows.shape[1]]
+    columns = [column for column in asked if isinstance(column, int) and column < rows.shape[1]]
+    if len(columns) < 2 or len(columns) < len(asked):
+        raise ValueError(f"a row has {rows.shape[1]} numbers, and the columns {asked} are no place among them")
     return np.asarray(rows[:, columns] * (1.0 if options.scale is None else options.scale))
 
 
@@ -176,7 +177,7 @@ def _ply(file: Path, options: _Options) -> Frames:
         import trimesh
     except ImportError as error:
         raise ImportError(f"{file}: reading it needs trimesh: pip install 'topokit[sensors]'") from error
-    vertices = np.asarray(trimesh.load(file, process=False).vertices)
+    vertices = np.asarray(trimesh.load(file, process=False).vertices)  # type: ignore[attr-defined]
     header = re.search(rb"element vertex (\d+)", file.read_bytes())
     if header is None or int(header[1]) != len(vertices):
         raise ValueError(
