@@ -76,10 +76,8 @@ def test_import_is_light_and_quiet():
 # library are private to it, and all of it may use them.
 LAYERS = [
     {
-        "_strangers",
         "_validate",
         "_archive",
-        "_ply",
         "_cores",
         "_lazy",
         "_geometry",

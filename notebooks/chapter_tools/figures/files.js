@@ -95,11 +95,11 @@ function fileReaders() {
     if (text === null && wide) {
       checkRoom(vertex.count * wide, body.length - here, `${many(vertex.count, "row")} of ${wide} bytes`);
       const offsets = at.map((c) => here + sum(sizes.slice(0, c))), takes = at.map((c) => taker(body, vertex.properties[c].types[0], little));
-      return cloudOf(strided(vertex.count, takes, (i, c) => offsets[c] + i * wide), "sensors");
+      return cloudOf(strided(vertex.count, takes, (i, c) => offsets[c] + i * wide), "ply");
     }
     const out = new Float64Array(3 * Math.min(vertex.count, body.length));
     for (let i = 0; i < vertex.count; i++) row(vertex, (c, value) => at.includes(c) && (out[3 * i + at.indexOf(c)] = value));
-    return cloudOf(out, "sensors");
+    return cloudOf(out, "ply");
   }
   const cloudOf = (numbers, python) => ({ clouds: [numbers], columns: 3, python });
 
@@ -144,7 +144,7 @@ function fileReaders() {
         return at.map((c) => before(counts, c));
       });
       if (rows !== points) fail(`${many(points, "point")} in its header, and ${rows.toLocaleString("en")} in the file`);
-      return cloudOf(numbers, "sensors");
+      return cloudOf(numbers, "pcd");
     }
     if (kind !== "binary" && kind !== "binary_compressed") fail(`its DATA is ${kind}, which is none of PCD`);
     if (kind === "binary_compressed") {
@@ -157,8 +157,8 @@ function fileReaders() {
     }
     checkRoom(points * wide, body.length, `${many(points, "point")} of ${wide} bytes`);
     const takes = at.map((c) => taker(body, types[c], true)), starts = at.map((c) => before(widths, c)), steps = at.map((c) => widths[c]);
-    if (kind === "binary") return cloudOf(strided(points, takes, (i, c) => i * wide + starts[c]), "sensors");
-    return cloudOf(strided(points, takes, (i, c) => points * starts[c] + i * steps[c]), "sensors"); // field after field
+    if (kind === "binary") return cloudOf(strided(points, takes, (i, c) => i * wide + starts[c]), "pcd");
+    return cloudOf(strided(points, takes, (i, c) => points * starts[c] + i * steps[c]), "pcd"); // field after field
   }
 
   // ---- .npy and .npz -----------------------------------------------------------------------------------------------
@@ -414,7 +414,8 @@ function fileReaders() {
     if (/^version \S+git-lfs/.test(start)) fail("a pointer of git-lfs and not the file itself: fetch it by git lfs pull");
     if (/^<(!doctype|html|\?xml)/.test(start)) fail("a web page and not the file itself");
     const read = await READERS[suffix](bytes, file.name);
-    if (read.python === "sensors") read.python = `next(read_clouds(${quoted(file.name)}, unit="m"))[1]`;
+    if (read.python === "ply") read.python = `next(read_clouds(${quoted(file.name)}))[1]`;
+    if (read.python === "pcd") read.python = `PointCloud.from_path(${quoted(file.name)}).numpy(("x", "y", "z"))`;
     return read;
   }
 

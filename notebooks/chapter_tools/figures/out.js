@@ -14,6 +14,7 @@ const IMPORTS = [
   [/\btrimesh\./, "import trimesh"],
   [/\bload_episode\(/, "from topokit.io import load_episode"],
   [/\binliers\(/, "from topokit.sampling import inliers"],
+  [/\bPointCloud\./, "from pypcd4 import PointCloud"],
   [/\bread_clouds\(/, "from topokit.sensors import read_clouds"],
 ];
 function pythonLines(source, wanted, clouds, states) {
