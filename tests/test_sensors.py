@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+import shutil
 
 import numpy as np
 import pytest
@@ -12,6 +13,8 @@ from sensor_files import ring
 
 from topokit.io import FormatError
 from topokit.sensors import Cleaner, read_clouds
+
+from conftest import DATA
 
 LENS = {"fx": 30.0, "fy": 40.0, "cx": 20.0, "cy": 15.0}
 
@@ -69,12 +72,12 @@ def test_times_of_an_archive_and_frames_a_second(tmp_path):
 @pytest.mark.parametrize(
     ("text", "columns"),
     [
-        ("{0} {1} {2}", (0, 1, 2)),
-        ("{0},{1},{2},7", (0, 1, 2)),
+        ("{0} {1} {2}", None),
+        ("{0},{1},{2},7", None),
         ("{2}; {1}; {0}", (2, 1, 0)),
-        ("id,Z,Y,X\n7,{2},{1},{0}", (0, 1, 2)),
+        ("id,Z,Y,X\n7,{2},{1},{0}", None),
         ("id,up,north,east\n7,{2},{1},{0}", ("east", "north", "up")),
-        ("60\n{0} {1} {2} 255", (0, 1, 2)),
+        ("60\n{0} {1} {2} 255", None),
     ],
     ids=["xyz", "csv", "semicolons", "header", "names", "pts"],
 )
@@ -83,6 +86,21 @@ def test_tables_of_text(text, columns, tmp_path):
     lines = [head, *(row.format(*place) for place in ring().tolist())]
     (tmp_path / "ring.txt").write_text("\n".join(line for line in lines if line))
     np.testing.assert_allclose(clouds(tmp_path / "ring.txt", columns=columns)[0], ring(), atol=1e-6)
+
+
+def test_columns_that_are_named_by_index_are_taken_by_index(tmp_path):
+    rows = np.arange(24.0).reshape(4, 6)
+    np.save(tmp_path / "a.npy", rows)
+    (tmp_path / "b.csv").write_text("z,y,x\n" + "\n".join(",".join(map(str, row[:3])) for row in rows))
+    for name in ("a.npy", "b.csv"):
+        np.testing.assert_array_equal(clouds(tmp_path / name, columns=(0, 1, 2))[0], rows[:, :3])
+
+
+def test_an_episode_is_no_film_of_clouds(tmp_path):
+    """Its arrays are differences in units of 0.1 mm."""
+    shutil.copy(DATA / "apron_hook_0.npz", tmp_path)
+    with pytest.raises(FormatError, match=r"apron_hook_0\.npz: .*load_episode"):
+        clouds(tmp_path / "apron_hook_0.npz", layout="film")
 
 
 def test_a_table_without_such_columns_is_refused(tmp_path):

@@ -15,7 +15,7 @@ from typing import Any
 
 import numpy as np
 
-from topokit._archive import FormatError, existing
+from topokit._archive import FormatError, existing, is_archive
 from topokit._validate import Array, as_reals
 
 Frames = Iterator[tuple[float | None, Array]]
@@ -26,7 +26,7 @@ def read_clouds(
     *,
     layout: str | None = None,
     scale: float | None = None,
-    columns: Sequence[int | str] = (0, 1, 2),
+    columns: Sequence[int | str] | None = None,
     intrinsics: Mapping[str, Any] | None = None,
     fps: float | None = None,
 ) -> Frames:
@@ -46,8 +46,9 @@ def read_clouds(
         depth images (h, w) or (T, h, w). It is asked for where the shape leaves it open.
     scale : float, optional
         Metres in a unit of the file. By default 1, and for depth of whole numbers 0.001, or `depth_scale` of the intrinsics.
-    columns : sequence
-        The numbers of a point that are its place, by index, or by name where the first line of a table has names.
+    columns : sequence, optional
+        The numbers of a point that are its place, by index, or by name where the first line of a table has names. By default x,
+        y and z where a table names them, and else the first three.
     intrinsics : mapping, optional
         The lens of a depth camera without distortion: fx, fy, cx, cy in pixels. By default the file intrinsics.json beside the
         image.
@@ -61,7 +62,7 @@ def read_clouds(
     FormatError
         When a file is damaged, of another kind, or ambiguous. The message names the file, the problem and a remedy.
     """
-    options = _Options(layout, scale, tuple(columns), intrinsics)
+    options = _Options(layout, scale, None if columns is None else tuple(columns), intrinsics)
     clouds = (pair for file in _files_of(Path(path)) for pair in _clouds_in(file, options))
     for number, (time, cloud) in enumerate(clouds):
         yield (time if fps is None else number / fps), cloud
@@ -69,17 +70,19 @@ def read_clouds(
 
 @dataclass(frozen=True)
 class _Options:
-    """What the caller says about the numbers of a file."""
+    """Options of `read_clouds` for the numbers of a file."""
 
     layout: str | None
     scale: float | None
-    columns: tuple[int | str, ...]
+    columns: tuple[int | str, ...] | None
     intrinsics: Mapping[str, Any] | None
 
 
 def _files_of(path: Path) -> list[Path]:
     """Return the files of a folder, in the order of the numbers in their names, or one file alone."""
-    files = [existing(path)] if not path.is_dir() else [file for file in path.iterdir() if file.suffix in _READERS]
+    files = (
+        [existing(path)] if not path.is_dir() else [file for file in path.iterdir() if file.suffix.lower() in _READERS]
+    )
     kinds = sorted({file.suffix.lower() for file in files})
     if len(kinds) != 1 or kinds[0] not in _READERS:
         held = ", ".join(kinds) or "no cloud"
@@ -93,8 +96,8 @@ def _clouds_in(file: Path, options: _Options) -> Frames:
     """Yield the clouds of a file; errors name the file."""
     try:
         yield from _READERS[file.suffix.lower()](file, options)
-    except ImportError:
-        raise
+    except ModuleNotFoundError as error:
+        raise ImportError(f"{file}: reading it needs {error.name}: pip install 'topokit[sensors]'") from error
     except Exception as error:  # damage shows in a dozen ways
         raise FormatError(f"{file}: {error}") from error
 
@@ -103,7 +106,7 @@ def _clouds_of(array: Array, file: Path, options: _Options) -> Iterator[Array]:
     """Yield the clouds of an array of numbers, by the rule of this module."""
     array = as_reals(array, "the array")
     layout = options.layout
-    if layout is None and array.ndim == 2 and array.shape[1] > 3 and options.columns == (0, 1, 2):
+    if layout is None and array.ndim == 2 and array.shape[1] > 3 and options.columns is None:
         question = f"are its {array.shape[1]} columns numbers of a point (say which are its place, as columns=), or is it depth"
         raise ValueError(f"an array of shape {array.shape}: {question} (layout='depth')?")
     if layout is None and array.ndim == 3:
@@ -121,7 +124,7 @@ def _clouds_of(array: Array, file: Path, options: _Options) -> Iterator[Array]:
 
 def _places(rows: Array, options: _Options) -> Array:
     """Return the columns of rows that are a place, in metres."""
-    asked = options.columns[: rows.shape[1]]
+    asked = options.columns or (0, 1, 2)[: rows.shape[1]]
     columns = [column for column in asked if isinstance(column, int) and column < rows.shape[1]]
     if len(columns) < 2 or len(columns) < len(asked):
         raise ValueError(f"a row has {rows.shape[1]} numbers, and the columns {asked} are no place among them")
@@ -163,6 +166,8 @@ def _npy(file: Path, options: _Options) -> Frames:
 
 
 def _npz(file: Path, options: _Options) -> Frames:
+    if is_archive(file):
+        raise ValueError("topokit wrote it: read it by topokit.io.load_episode, or by what wrote it")
     with file.open("rb") as stream, np.load(stream, allow_pickle=False) as archive:
         name = next((name for name in ("clouds", "points") if name in archive), None)
         if name is None:
@@ -173,10 +178,8 @@ def _npz(file: Path, options: _Options) -> Frames:
 
 
 def _ply(file: Path, options: _Options) -> Frames:
-    try:
-        import trimesh
-    except ImportError as error:
-        raise ImportError(f"{file}: reading it needs trimesh: pip install 'topokit[sensors]'") from error
+    import trimesh
+
     vertices = np.asarray(trimesh.load(file, process=False).vertices)  # type: ignore[attr-defined]
     header = re.search(rb"element vertex (\d+)", file.read_bytes())
     if header is None or int(header[1]) != len(vertices):
@@ -187,10 +190,8 @@ def _ply(file: Path, options: _Options) -> Frames:
 
 
 def _png(file: Path, options: _Options) -> Frames:
-    try:
-        from PIL import Image
-    except ImportError as error:
-        raise ImportError(f"{file}: reading it needs pillow: pip install 'topokit[sensors]'") from error
+    from PIL import Image
+
     with Image.open(file, formats=["PNG"]) as picture:
         if not picture.mode.startswith("I"):
             raise ValueError(f"a picture of mode {picture.mode}: a depth image has 16 bits a pixel")
@@ -209,8 +210,8 @@ def _table(file: Path, options: _Options) -> Frames:
         lines.pop(0)  # .pts begins with the number of points
     rows = np.array(lines, dtype=np.float64)
     columns = options.columns
-    if columns == (0, 1, 2) and {"x", "y", "z"} <= set(names):
-        columns = ("x", "y", "z")
+    if columns is None:
+        columns = ("x", "y", "z") if {"x", "y", "z"} <= set(names) else (0, 1, 2)[: rows.shape[1]]
     try:
         numbers = tuple(names.index(column) if isinstance(column, str) else column for column in columns)
     except ValueError as error:
