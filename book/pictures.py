@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import sys
+from collections.abc import Sequence
 from pathlib import Path
 from typing import Any
 
@@ -14,7 +15,7 @@ from PIL import Image
 import topokit as tk
 from topokit import view
 from topokit.data import Dataset
-from topokit.io import load_episode
+from topokit.io import Episode, load_episode
 from topokit.sim import TASKS, WARDROBE, Hook
 
 HERE = Path(__file__).parent
@@ -27,33 +28,14 @@ def main() -> None:
     episode = load_episode(HERE.parent / "data_small" / "apron_hook_0.npz")
     states = tk.track(episode.points, times=episode.times)
     hook = {"centre_line": Hook().centre_line[1:], "thickness": Hook().rods[0][2]}  # the pole's foot is far below
-    pictures = [
-        _drawn(
-            episode.points[frame],
-            episode.faces,
-            rest=episode.points[0],
-            loops=states[frame].loops,
-            true_loops=episode.loops,
-            **hook,
-            size=(420, 620),
-            zoom=0.8,
-            focus=episode.points[frame].mean(axis=0) + [0, 0.06, -0.02],
-        )
-        for frame in FRAMES
-    ]
+    pictures = []
+    for frame in FRAMES:
+        focus = episode.points[frame].mean(axis=0) + [0, 0.06, -0.02]
+        pictures.append(_tracked(episode, states, frame, **hook, size=(420, 620), zoom=0.8, focus=focus))
     _side_by_side(pictures).save(HERE / "_static" / "apron.png", optimize=True)
     focus = episode.points.reshape(-1, 3).mean(axis=0) + [0, 0.05, 0.05]
     film = [
-        _drawn(
-            episode.points[frame],
-            episode.faces,
-            rest=episode.points[0],
-            loops=states[frame].loops,
-            true_loops=episode.loops,
-            **hook,
-            size=(320, 400),
-            focus=focus,
-        ).quantize(160, Image.Quantize.FASTOCTREE)
+        _tracked(episode, states, frame, **hook, size=(320, 400), focus=focus).quantize(160, Image.Quantize.FASTOCTREE)
         for frame in range(0, len(episode), 3)
     ]
     pause = round(3000 * episode.dt)
@@ -77,23 +59,9 @@ def every_task(folder: Path, moments: int = 20) -> None:
         x, y, z = TASKS[task].target.seat
         states = dataset.states(numbers[task], "full")
         frames = np.linspace(10, len(episode) - 1, moments).astype(int)
-        columns.append(
-            [
-                _drawn(
-                    episode.points[frame],
-                    episode.faces,
-                    rest=episode.points[0],
-                    loops=states[frame].loops,
-                    true_loops=episode.loops,
-                    centre_line=episode.centre_line,
-                    thickness=TASKS[task].target.rods[0][2],
-                    size=(200, 250),
-                    zoom=0.75,
-                    focus=[x, y - 0.2, z - 0.25],
-                )
-                for frame in frames
-            ]
-        )
+        look = {"size": (200, 250), "zoom": 0.75, "focus": [x, y - 0.2, z - 0.25]}
+        rod = {"centre_line": episode.centre_line, "thickness": TASKS[task].target.rods[0][2]}
+        columns.append([_tracked(episode, states, frame, **rod, **look) for frame in frames])
         print(f"\rdrawing: task {len(columns)} of {len(numbers)}", end="", file=sys.stderr, flush=True)
     print(file=sys.stderr)
     films = [_grid([column[k] for column in columns]) for k in range(moments)]
@@ -103,6 +71,12 @@ def every_task(folder: Path, moments: int = 20) -> None:
     small[0].save(
         HERE / "_static" / "tasks.gif", save_all=True, append_images=small[1:], duration=pauses, loop=0, optimize=True
     )
+
+
+def _tracked(episode: Episode, states: Sequence[tk.TopologicalState], frame: int, **look: Any) -> Image.Image:
+    """Return a picture of a frame of an episode with its tracked and its true loops."""
+    cloth = {"rest": episode.points[0], "loops": states[frame].loops, "true_loops": episode.loops}
+    return _drawn(episode.points[frame], episode.faces, **cloth, **look)
 
 
 def _drawn(points: np.ndarray, faces: np.ndarray, *, size: tuple[int, int], **look: Any) -> Image.Image:
