@@ -84,7 +84,7 @@ LAYERS = [
         "_processes",
         "_config",
     },
-    {"sampling", "linking", "rips", "_opening"},
+    {"sampling", "linking", "rips"},
     {"mixture"},
     {"seqph"},
     {"sensors"},

@@ -40,8 +40,8 @@ def in_fresh_processes(
     """
     with tempfile.TemporaryDirectory(prefix="topokit-") as folder, ThreadPoolExecutor(n_workers) as pool:
         crew = _Crew(folder, None if math.isinf(time_limit) else time_limit, tries)
-        futures = {pool.submit(crew.outcome, function, item): item for item in items}
         try:
+            futures = {pool.submit(crew.outcome, function, item): item for item in items}
             for future in as_completed(futures):
                 yield futures[future], future.result()
         finally:

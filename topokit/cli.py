@@ -211,7 +211,7 @@ def track(
 
 @dataclasses.dataclass
 class _Film:
-    """What `track` reads: clouds, and what an episode knows of the cloth behind them."""
+    """Clouds that `track` reads, with the cloth behind them where they are of an episode."""
 
     clouds: Sequence[NDArray[Any]] | NDArray[Any]
     times: Sequence[float] | NDArray[Any]

@@ -50,14 +50,13 @@ EPISODE_KIND = "topokit-episode"
 ABSENT = 65535  # the point id that stands for "no neighbour"
 # Arrays: kinds of number, then sizes; one letter is one size throughout.
 _EPISODE_LAYOUT = {
-    **{
-        "points": "if T N 3",
-        "observed": "if T M 3",
-        "actions": "if T 2 3",
-        "grippers": "if T 2 3",
-        "centre_line": "if K 3",
-    },
-    **{"held": "b T", "faces": "i F 3"},
+    "points": "if T N 3",
+    "observed": "if T M 3",
+    "actions": "if T 2 3",
+    "grippers": "if T 2 3",
+    "centre_line": "if K 3",
+    "held": "b T",
+    "faces": "i F 3",
 }
 _STATES_LAYOUT = {"id": "i T S", "simplices": "u T S 22", "values": "f T S 7", "parameters": "f T 4"}
 
@@ -293,7 +292,7 @@ def check_layout(arrays: Mapping[str, NDArray[Any]], layout: dict[str, str]) -> 
 # -- loops of tracked states, the form in which files of states and labels of datasets store them ---------------------------
 
 
-def state_arrays(states: Sequence[TopologicalState], slots: int) -> dict[str, NDArray[Any]]:
+def state_arrays(states: Sequence[TopologicalState], slots: int = 8) -> dict[str, NDArray[Any]]:
     """Return the loops of tracked states as arrays of one shape: the form in which states are stored.
 
     A frame keeps its `slots` longest-lived loops; the others are dropped and counted. Places are ids of points in the cloud that

@@ -11,7 +11,7 @@ from typing import NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from .linking import curve_centroid
+from topokit.linking import curve_centroid
 
 Array = NDArray[np.float64]
 

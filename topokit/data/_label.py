@@ -114,7 +114,7 @@ def _label_episode(folder: str, name: str, number: int) -> str:
         write_json(failure_path(labels.folder, number), {**described, "status": "failed", "reason": str(error)})
         return "failed"
     header = {**described, "frames": len(states)}
-    arrays = state_arrays(states, 8)
+    arrays = state_arrays(states)
     for name in ("values", "parameters"):
         arrays[name] = arrays[name].astype(np.float32)
     save_archive(archive_path(labels.folder, number), KIND, header, arrays)

@@ -286,7 +286,7 @@ class WindowDataset(torch.utils.data.Dataset[dict[str, torch.Tensor]]):
             arrays = labels.arrays(number, tracked_clouds)
         else:
             clouds = tracked_clouds
-            arrays = state_arrays(track(as_metres(clouds), n_jobs=1), 8)
+            arrays = state_arrays(track(as_metres(clouds), n_jobs=1))
         return _Episode(
             clouds[:, np.arange(self.n_points) % clouds.shape[1]],
             as_ticks(episode.grippers),

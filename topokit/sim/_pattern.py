@@ -191,7 +191,8 @@ def inflate(panel: Panel, seams: Sequence[int], depth: float, top: float = np.in
 
 def _without_chords(panel: Panel, seam: Ids) -> Panel:
     """Halve the inner edges between two vertices of the seam, which the panel on its other side would have as well."""
-    vertices, faces = panel.vertices, panel.faces
+    vertices = panel.vertices
+    faces = panel.faces
     while True:
         edges, count = np.unique(half_edges(faces), axis=0, return_counts=True)
         chords = edges[(count == 2) & np.isin(edges, seam).all(axis=1)]
