@@ -6,10 +6,9 @@ import functools
 from collections.abc import Mapping
 from dataclasses import dataclass, field, replace
 from pathlib import Path
-from typing import Literal
+from typing import TYPE_CHECKING, Literal
 
 import numpy as np
-import trimesh
 from numpy.typing import ArrayLike
 
 from topokit._geometry import turned
@@ -17,6 +16,9 @@ from topokit._validate import as_ids, as_points, positive
 
 from ._mesh import Surface, held_upright
 from ._surface import Array, Ids, count_components, edge_lengths, half_edges, not_joined
+
+if TYPE_CHECKING:
+    import trimesh
 
 
 @dataclass(frozen=True, eq=False)
@@ -106,7 +108,7 @@ class Garment:
         if loops != "auto":
             cycles = {key: cycles[loop] if isinstance(loop, str) else np.asarray(loop) for key, loop in loops.items()}
         return cls(
-            name or (mesh.metadata.get("name", "mesh") if isinstance(mesh, trimesh.Trimesh) else Path(mesh).stem),
+            name or (Path(mesh).stem if isinstance(mesh, str | Path) else mesh.metadata.get("name", "mesh")),
             held_upright(positive(scale, "unit", zero=False) * surface.vertices[surface.used], up, held),
             np.searchsorted(surface.used, surface.faces),
             tuple(surface.numbers(cycle, f"loops[{key!r}]") for key, cycle in cycles.items()),

@@ -4,9 +4,9 @@ from __future__ import annotations
 
 from collections.abc import Mapping
 from pathlib import Path
+from typing import TYPE_CHECKING
 
 import numpy as np
-import trimesh
 from numpy.typing import ArrayLike
 
 from topokit._geometry import angle, turned
@@ -16,11 +16,16 @@ from topokit.rips import rips_persistence
 
 from ._surface import Array, EdgeGraph, Ids, border_cycles, half_edges, simple_cycles, wind
 
+if TYPE_CHECKING:
+    import trimesh
+
 
 class Surface:
     """The faces of a mesh with one vertex at each place and each face once; vertices keep the ids of the mesh."""
 
     def __init__(self, mesh: str | Path | trimesh.Trimesh) -> None:
+        import trimesh
+
         if not isinstance(mesh, trimesh.Trimesh):
             mesh = trimesh.load_mesh(mesh)
         self.vertices: Array = np.asarray(mesh.vertices, dtype=np.float64)

@@ -1,9 +1,11 @@
-"""Triangle meshes as surfaces: their edges, their winding, their borders, and paths along their edges."""
+"""Triangle meshes as surfaces: their edges, their winding, their borders, and paths along their edges.
+
+trimesh is imported where it is used: a fresh process, which each episode has, starts sooner without it.
+"""
 
 from collections.abc import Sequence
 
 import numpy as np
-import trimesh
 from numpy.typing import NDArray
 from scipy.sparse import coo_matrix, csr_matrix
 from scipy.sparse.csgraph import connected_components, dijkstra
@@ -24,6 +26,8 @@ def edge_lengths(vertices: Array, edges: Ids) -> Array:
 
 def wind(faces: Ids) -> Ids:
     """Return the faces turned so that neighbours run through their common edge in opposite directions; the first is kept."""
+    import trimesh
+
     mesh = trimesh.Trimesh(np.zeros((faces.max() + 1, 3)), faces.copy(), process=False)
     trimesh.repair.fix_winding(mesh)
     wound = np.array(mesh.faces, dtype=np.int64)
@@ -57,9 +61,8 @@ def count_components(faces: Ids) -> int:
 
 def border_cycles(faces: Ids) -> list[Ids]:
     """Return the borders of a mesh, edges in one face only, as simple closed cycles; where they touch they are taken apart."""
-    edges = half_edges(faces)
-    border = edges[trimesh.grouping.group_rows(edges, require_count=1)]
-    border = border[np.lexsort(border.T[::-1])]
+    edges, count = np.unique(half_edges(faces), axis=0, return_counts=True)
+    border = edges[count == 1]
     # The edges that no walk has used, by vertex.
     unused: dict[int, list[int]] = {}
     for a, b in border.tolist():
