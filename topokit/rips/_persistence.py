@@ -121,7 +121,7 @@ def _diagrams(clouds: Sequence[Cloud], workers: int, max_radius: float, min_life
         return _diagram(cloud, *pairs, cutoff, shortest)
 
     # Long work of the engine is done by other threads, so that Ctrl-C, which the main thread alone hears, can end it.
-    is_long = sum(len(cloud) ** 2 for cloud in clouds) > 1e6 * workers
+    is_long = sum(len(cloud) ** 2 for cloud in clouds) > 5e5
     if not (with_engine and is_long):
         yield from map(diagram_of, clouds)
         return
