@@ -12,10 +12,10 @@ from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
-from topokit._opening import lies_flat
 
 from topokit._geometry import angle, turned
 from topokit.control import Servo
+from topokit.control._opening import lies_flat
 from topokit.linking import close_far, curve_centroid, linking_number
 
 Array = NDArray[np.float64]
