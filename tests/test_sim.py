@@ -70,13 +70,14 @@ def test_over_stretched_cloth_is_refused(limit):
 
 def test_an_episode_is_the_same_in_every_fresh_process_and_in_ours(tmp_path):
     code = (
-        "from topokit.sim import *; from topokit.io import save_episode; import sys\n"
+        "from topokit.sim import SimulationConfig, WARDROBE, simulate; from topokit.io import save_episode; import sys\n"
         "config = SimulationConfig(frames=8, steps_per_frame=20, settle=0.05)\n"
         "apron = WARDROBE['apron'](spacing=0.05, strap_width=0.05)\n"
         "if __name__ == '__main__':\n"
         "    options = {'seed': 4, 'config': config, 'n_observed': 100}\n"
         "    save_episode(sys.argv[1] + '/one.npz', simulate(apron, time_limit=None, **options))\n"
         "    save_episode(sys.argv[1] + '/other.npz', simulate(apron, **options))\n"
+        "    assert 'gymnasium' not in sys.modules\n"
     )
     done = subprocess.run(
         [sys.executable, "-W", "error", "-c", code, str(tmp_path)], capture_output=True, text=True, check=True

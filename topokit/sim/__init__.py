@@ -3,7 +3,6 @@
 Source: Antonova et al. 2021, section 6. Taught in chapters 0 and 10.
 """
 
-import importlib.util
 from typing import TYPE_CHECKING
 
 from topokit._lazy import attach
@@ -18,15 +17,5 @@ if TYPE_CHECKING:
     from ._tasks import TASKS, Task
     from ._wardrobe import WARDROBE
     from ._world import SimulationConfig, SimulationError, World
-
-# So that gymnasium.make knows the environments once this package is imported.
-if importlib.util.find_spec("gymnasium") and importlib.util.find_spec("pydantic"):
-    from gymnasium import register
-
-    from topokit.sim._tasks import TASKS
-
-    for _task in TASKS:
-        _id = f"topokit/Hang{_task.title().replace('-', '')}-v1"
-        register(_id, "topokit.sim:HangEnv", kwargs={"task": _task, "place": "anywhere"})
 
 __getattr__, __dir__, __all__ = attach(__name__, __file__, "sim")

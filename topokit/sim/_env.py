@@ -1,6 +1,7 @@
 """Hanging garments as a reinforcement-learning environment, with Gymnasium's interface.
 
-    >>> import gymnasium, topokit.sim
+    >>> import gymnasium
+    >>> from topokit.sim import HangEnv  # makes the ids known to Gymnasium
     >>> env = gymnasium.make("topokit/HangApronHook-v1", reward="topological")
 
 Source: Towers et al. 2024, *Gymnasium: a standard interface for reinforcement learning environments*; Ng, Harada and Russell
@@ -25,7 +26,7 @@ from ._camera import Camera
 from ._episode import as_episode, is_at_rest, usual_config
 from ._garments import Garment
 from ._targets import Target
-from ._tasks import Task, resolved
+from ._tasks import TASKS, Task, resolved
 from ._world import SimulationConfig, SimulationError, World, check_stretch
 
 Observation = dict[str, Any]
@@ -35,8 +36,8 @@ _FARTHEST = 4.0  # metres: observed coordinates are clipped to this distance fro
 class HangEnv(gymnasium.Env[Observation, NDArray[np.float32]]):
     """Carry a garment to its target with two grippers, hang it there, and let go.
 
-    Every task of `TASKS` has an id for `gymnasium.make`, which puts the target anywhere: the id of "apron2-hook" is
-    "topokit/HangApron2Hook-v1".
+    Every task of `TASKS` has an id for `gymnasium.make`, known once this class is imported, which puts the target anywhere: the
+    id of "apron2-hook" is "topokit/HangApron2Hook-v1".
 
     **Observation**: a dict of float32 arrays in metres, and of two whole numbers:
 
@@ -259,3 +260,8 @@ class HangEnv(gymnasium.Env[Observation, NDArray[np.float32]]):
         if self.task.all_loops:
             return sum(linked) / len(linked), float(np.mean(distances))
         return float(any(linked)), min(distances)
+
+
+for _task in TASKS:
+    _id = f"topokit/Hang{_task.title().replace('-', '')}-v1"
+    gymnasium.register(_id, "topokit.sim:HangEnv", kwargs={"task": _task, "place": "anywhere"})

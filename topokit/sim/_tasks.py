@@ -16,8 +16,7 @@ from typing import TypeVar, cast
 import numpy as np
 from numpy.typing import ArrayLike
 
-from topokit.io import LOOP_NAMES, Episode
-from topokit.linking import side_lengths
+from topokit.io import LOOP_NAMES
 
 from ._garments import Garment
 from ._path import GripperPath, Via, drawn_about, off_script
@@ -116,31 +115,6 @@ class Task:
         on = (target.holds(cloud[np.asarray(loop)]) for loop in wanted.values())
         return all(on) if self.all_loops else any(on)
 
-    def explain(self, episode: Episode, target: Target | None = None) -> str:
-        """Return in a sentence why the garment does not hang at the end of an episode; "" when it hangs.
-
-        Parameters
-        ----------
-        episode : Episode
-        target : optional
-            Where the target is; the task's own when not given.
-        """
-        if episode.success:
-            return ""
-        if episode.held[-1]:
-            return "it is still held at the end"
-        target = target or self.target
-        released = int(episode.held.sum())
-        for name, loop in self.wanted(episode.named_loops).items():
-            around = [t for t, frame in enumerate(episode.points) if t and _is_around(target, frame[loop])]
-            if not around:
-                size = side_lengths(episode.points[0][loop]).sum()
-                return f"the loop {name!r} never came around the {target.name}; it is {size:.2f} m around"
-            if around[-1] < len(episode) - 1:
-                when = "while it was held" if around[-1] < released else "after it was let go"
-                return f"the loop {name!r} was around the {target.name} and slipped off {when}"
-        return "its loops are around the target, but it slid down to the foot or did not come to rest before the end"
-
 
 def _itself(garment: Garment) -> Garment:
     """Return the garment: with `functools.partial`, a function for a task that can be pickled."""
@@ -152,14 +126,6 @@ def _off_script(
 ) -> GripperPath:
     """Return the path of a script, changed by draws of the generator `changes`."""
     return off_script(script(garment, target, rng), garment, target, changes)
-
-
-def _is_around(target: Target, curve: Array) -> bool:
-    """Return whether a closed curve winds around a target; one that touches its centre line does not."""
-    try:
-        return target.holds(curve)
-    except ValueError:
-        return False
 
 
 def carry_over_tip(
