@@ -15,7 +15,7 @@ from topokit._geometry import turned
 from topokit._validate import as_ids, as_points, positive
 
 from ._mesh import Surface, held_upright
-from ._surface import Array, Ids, count_components, edge_lengths, half_edges, not_joined
+from ._surface import Array, Ids, count_components, edge_lengths, half_edges, is_cycle
 
 if TYPE_CHECKING:
     import trimesh
@@ -51,9 +51,19 @@ class Garment:
         values = {"vertices": vertices, "faces": faces, "grips": grips, "loops": loops, "loop_names": names}
         for key, value in {**values, "parameters": dict(self.parameters)}.items():
             object.__setattr__(self, key, value)
-        _check_mesh(self)
+        # PyBullet fails at an edge without length, and never returns from loading parts that are joined by a vertex alone.
+        if vertices.shape[1] != 3 or faces.ndim != 2 or faces.shape[1] != 3:
+            raise ValueError(f"vertices must be (N, 3) and faces (F, 3), not {vertices.shape} and {faces.shape}")
+        if self.edge_lengths.min() <= 0:
+            raise ValueError(f"edge {self.edges[np.argmin(self.edge_lengths)].tolist()} has length 0")
+        count = count_components(faces) + len(vertices) - len(np.unique(faces))
+        if count > 1:
+            raise ValueError(f"the mesh has {count} components that no edge joins, counting vertices in no face")
         for i, loop in enumerate(loops):
-            _check_loop(loop, self.edges, f"loops[{i}]")
+            if not is_cycle(loop, self.edges):
+                raise ValueError(
+                    f"loops[{i}] must be a closed cycle of different vertices along edges: {loop.tolist()!r:.80}"
+                )
         if grips.shape != (2,) or grips[0] == grips[1]:
             raise ValueError(f"grips must be two different vertex ids, not {grips.tolist()}")
         if not len(set(names)) == len(names) == len(loops):
@@ -169,35 +179,3 @@ class Garment:
         degrees : float
         """
         return replace(self, vertices=turned(self.vertices, degrees)) if degrees else self
-
-
-def _check_mesh(garment: Garment) -> None:
-    """Raise ValueError when a mesh would make the physics engine fail or hang."""
-    vertices = garment.vertices
-    faces = garment.faces
-    if vertices.shape[1] != 3 or faces.ndim != 2 or faces.shape[1] != 3 or not len(faces):
-        raise ValueError(f"vertices must be (N, 3) and faces (F, 3), not {vertices.shape} and {faces.shape}")
-    repeats = (faces == np.roll(faces, 1, axis=1)).any(axis=1)
-    if repeats.any():
-        raise ValueError(f"faces[{np.argmax(repeats)}] names a vertex twice: {faces[np.argmax(repeats)].tolist()}")
-    unused = np.setdiff1d(np.arange(len(vertices)), faces)
-    if len(unused):
-        raise ValueError(f"{len(unused)} vertices are in no face, the first is vertex {unused[0]}; remove them")
-    count = count_components(faces)
-    if count > 1:  # PyBullet never returns from loading one that is joined by a vertex alone
-        raise ValueError(
-            f"the mesh has {count} components that no edge joins; join them, or keep one (trimesh's split)"
-        )
-    if garment.edge_lengths.min() <= 0:
-        edge = garment.edges[np.argmin(garment.edge_lengths)].tolist()
-        raise ValueError(f"edge {edge} has length 0; make one vertex of its two")
-
-
-def _check_loop(loop: Ids, edges: Ids, name: str) -> None:
-    """Raise ValueError unless a loop is a simple closed cycle along edges (E, 2)."""
-    if loop.ndim != 1 or len(loop) < 3 or len(np.unique(loop)) != len(loop):
-        raise ValueError(f"{name} must be a cycle of 3 or more different vertex ids, not {loop.tolist()!r:.80}")
-    missing = not_joined(loop, edges)
-    if missing:
-        a, b = missing[0]
-        raise ValueError(f"{name} is not a closed cycle of the mesh: no edge joins vertices {a} and {b}")

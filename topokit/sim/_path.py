@@ -67,9 +67,7 @@ class GripperPath:
         change recorded episodes by up to 0.3 mm. Therefore the sum is written out.
         """
         t = np.asarray(time, dtype=np.float64)
-        times = self._times
-        places = self._places
-        velocities, accelerations = self._derivatives
+        times, places, velocities, accelerations = self._spline
         # Find the segment i of the path at each time, its duration h, and the share s of the duration that is over.
         i = np.clip(np.searchsorted(times, t, side="right") - 1, 0, len(times) - 2)
         h = (times[i + 1] - times[i])[..., None]
@@ -99,27 +97,16 @@ class GripperPath:
         return float(np.linalg.norm(first - second, axis=-1).max())
 
     @functools.cached_property
-    def _times(self) -> Array:
-        """Return the times (k,) of the places, seconds."""
-        return self.table["time"].copy()
-
-    @functools.cached_property
-    def _places(self) -> Array:
-        """Return the rows (k, 5) of the spline: middle, opening, yaw."""
+    def _spline(self) -> tuple[Array, Array, Array, Array]:
+        """Return the times (k,), and rows (k, 5) of middle, opening and yaw: places, velocities and accelerations."""
         table = self.table
-        return np.column_stack([table["place"], table["opening"], table["yaw"]])
-
-    @functools.cached_property
-    def _derivatives(self) -> tuple[Array, Array]:
-        """Return the velocities (k, 5) and accelerations (k, 5) at the places: 0 at a rest, else those of the spline."""
-        times = self._times
-        places = self._places
+        times = table["time"].copy()
+        places = np.column_stack([table["place"], table["opening"], table["yaw"]])
         velocities = np.zeros_like(places)
         accelerations = np.zeros_like(places)
         # Each part from one rest to the next has a spline of its own, with velocity and acceleration 0 at both ends.
-        still = ([(1, np.zeros(places.shape[1])), (2, np.zeros(places.shape[1]))],) * 2
-        last_row = len(times) - 1
-        rests = [0, *(np.flatnonzero(self.table["rest"][1:-1]) + 1), last_row]
+        still = ([(1, np.zeros(5)), (2, np.zeros(5))],) * 2
+        rests = [0, *(np.flatnonzero(table["rest"][1:-1]) + 1), len(table) - 1]
         for first, last in itertools.pairwise(rests):
             if last - first > 1:
                 stroke = slice(first, last + 1)
@@ -127,7 +114,7 @@ class GripperPath:
                 inner = slice(first + 1, last)
                 velocities[inner] = spline(times[inner], 1)
                 accelerations[inner] = spline(times[inner], 2)
-        return velocities, accelerations
+        return times, places, velocities, accelerations
 
 
 def drawn_about(rng: np.random.Generator, place: ArrayLike, *ranges: tuple[float, float]) -> Array:
@@ -146,9 +133,8 @@ def off_script(path: GripperPath, garment: Garment, target: Target, rng: np.rand
     drawn: dict[str, float] = {}
     kind = rng.random()
     longest = max(4.5, path.end)  # seconds of an episode
-    drop = (
-        float(garment.vertices[garment.grips, 2].mean() - garment.vertices[:, 2].min()) + 0.05
-    )  # 5 cm above the floor
+    # The grippers are so high that the cloth is 5 cm above the floor.
+    drop = float(garment.vertices[garment.grips, 2].mean() - garment.vertices[:, 2].min()) + 0.05
     # Wander, push, miss, or follow the script.
     if kind < 0.15:
         drawn["wander"] = 1.0
@@ -172,13 +158,10 @@ def off_script(path: GripperPath, garment: Garment, target: Target, rng: np.rand
     if rng.random() < 0.3:
         i = int(rng.integers(1, len(table)))
         aside = rng.normal(0, 0.1, 3)
-        before = table[i - 1]
-        after = table[i].copy()
-        place = (before["place"] + after["place"]) / 2 + aside
-        opening = (before["opening"] + after["opening"]) / 2
-        between = Via((before["time"] + after["time"] + 0.25) / 2, place, opening, (before["yaw"] + after["yaw"]) / 2)
+        time = (table["time"][i - 1] + table["time"][i] + 0.25) / 2
+        place, opening, yaw = ((table[name][i - 1] + table[name][i]) / 2 for name in ("place", "opening", "yaw"))
         table["time"][i:] += 0.25
-        table = _inserted(table, i, between)
+        table = _inserted(table, i, Via(time, place + aside, opening, yaw))
         drawn["detour"] = float(np.linalg.norm(aside))
     # Stop at a place for 0.3 s.
     if rng.random() < 0.25:

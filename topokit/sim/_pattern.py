@@ -17,7 +17,7 @@ from scipy.sparse import coo_matrix, diags
 from scipy.sparse.linalg import spsolve
 from scipy.spatial import Delaunay, cKDTree
 
-from ._surface import Array, Ids, component_of, half_edges, not_joined, wind
+from ._surface import Array, Ids, component_of, half_edges, is_cycle, wind
 
 
 @dataclass(frozen=True)
@@ -142,8 +142,7 @@ def cut(
     flat, faces, borders = triangulate(outline, holes, spacing, fixed)
     # At a coarse spacing Delaunay triangles can cut across a border.
     edges = half_edges(faces)
-    whole = not any(not_joined(border, edges) for border in borders)
-    demand(whole, f"spacing {spacing} is too coarse: a border is lost")
+    demand(all(is_cycle(border, edges) for border in borders), f"spacing {spacing} is too coarse: a border is lost")
     # Each polyline of the outline has its own share of the vertices around it.
     starts = np.cumsum([0, *(count_steps(line, spacing) for line in outline)])
     around = np.append(borders[0], borders[0][:1])

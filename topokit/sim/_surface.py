@@ -34,11 +34,14 @@ def wind(faces: Ids) -> Ids:
     return wound if (wound[0] == faces[0]).all() else wound[:, ::-1]
 
 
-def not_joined(cycle: Ids, edges: Ids) -> list[tuple[int, int]]:
-    """Return the pairs of vertices that follow each other in a closed cycle and are not joined by an edge (E, 2)."""
-    known = set(map(tuple, edges.tolist()))
-    pairs = zip(cycle.tolist(), np.roll(cycle, -1).tolist(), strict=True)
-    return [(a, b) for a, b in pairs if (min(a, b), max(a, b)) not in known]
+def is_cycle(ids: Ids, edges: Ids) -> bool:
+    """Return whether ids (L,) are three or more different vertices around a closed cycle along edges (E, 2)."""
+    steps = np.sort(np.column_stack([ids, np.roll(ids, -1)]), axis=1)
+    return (
+        len(ids) > 2
+        and len(np.unique(ids)) == len(ids)
+        and {*map(tuple, steps.tolist())} <= {*map(tuple, edges.tolist())}
+    )
 
 
 def component_of(pairs: Ids, n: int) -> Ids:

@@ -10,7 +10,7 @@ from __future__ import annotations
 
 import itertools
 from abc import ABC, abstractmethod
-from dataclasses import asdict, field, replace
+from dataclasses import KW_ONLY, asdict, replace
 from typing import Any, ClassVar
 
 import numpy as np
@@ -30,43 +30,31 @@ Rod = tuple[Array, Array, float]  # a capsule: start, end, radius
 class _Target(ABC):
     """A target: its shape, its centre line and its place."""
 
-    distance: float = field(default=0.3, kw_only=True)  #: y coordinate of the pole or axis, metres
-    place: Place = field(default=(0.0, 0.0, 0.0), kw_only=True)  #: (3,) the place to which the origin moves, metres
-    yaw: float = field(
-        default=0.0, kw_only=True
-    )  #: degrees by which it is turned about the origin first, from x towards y
+    _: KW_ONLY
+    distance: float = 0.3  #: y coordinate of the pole or axis, metres
+    place: Place = (0.0, 0.0, 0.0)  #: (3,) the place to which the origin moves, metres
+    yaw: float = 0.0  #: degrees by which it is turned about the origin first, from x towards y
 
     name: ClassVar[str]
 
-    @property
     @abstractmethod
-    def _line(self) -> Array:
-        """Return the centre line (K, 3) before the target is placed."""
-
-    @property
-    @abstractmethod
-    def _seat(self) -> Array:
-        """Return the seat (3,) before the target is placed."""
-
-    @property
-    @abstractmethod
-    def _rods(self) -> list[Rod]:
-        """Return the capsules before the target is placed."""
+    def _shape(self) -> tuple[Array, Array, list[Rod]]:
+        """Return centre line, seat and rods before the target is placed."""
 
     @property
     def centre_line(self) -> Array:
         """Return an open polyline (K, 3) from the floor to the tip, in metres."""
-        return self.placed(self._line)
-
-    @property
-    def rods(self) -> list[Rod]:
-        """Return the shape: capsules as (start, end, radius)."""
-        return [(self.placed(start), self.placed(end), radius) for start, end, radius in self._rods]
+        return self.placed(self._shape()[0])
 
     @property
     def seat(self) -> Array:
         """Return the middle (3,) of the place where a strap should come to rest."""
-        return self.placed(self._seat)
+        return self.placed(self._shape()[1])
+
+    @property
+    def rods(self) -> list[Rod]:
+        """Return the shape: capsules as (start, end, radius)."""
+        return [(self.placed(start), self.placed(end), radius) for start, end, radius in self._shape()[2]]
 
     @property
     def lowest(self) -> float:
@@ -89,11 +77,11 @@ class _Target(ABC):
         ValueError
             When the curve touches the centre line, or is no closed curve in space.
         """
-        return self._links(loop, self._line)
+        return self._links(loop, self._shape()[0])
 
-    def _links(self, loop: ArrayLike, *lines: Array) -> bool:
-        """Return whether a loop links any of some open lines of the target before it is placed, closed far away."""
-        return any(linking_number(loop, close_far(self.placed(line))) != 0 for line in lines)
+    def _links(self, loop: ArrayLike, line: Array) -> bool:
+        """Return whether a loop links an open line of the target before it is placed, closed far away."""
+        return linking_number(loop, close_far(self.placed(line))) != 0
 
     def describe(self) -> dict[str, Any]:
         """Return the target's sizes and position in the form that an episode records."""
@@ -115,21 +103,12 @@ class Hook(_Target):
 
     name = "hook"
 
-    @property
-    def _line(self) -> Array:
-        """Return the foot and the top of the pole, the end of the arm, and the end of the tip: (4, 3)."""
+    def _shape(self) -> tuple[Array, Array, list[Rod]]:
         pole = self.distance
-        near = self.distance - self.reach
-        top = self.height + self.tip
-        return _upright((pole, 0), (pole, self.height), (near, self.height), (near, top))
-
-    @property
-    def _seat(self) -> Array:
-        return np.array([0, self.distance - self.reach / 2, self.height])
-
-    @property
-    def _rods(self) -> list[Rod]:
-        return _tube(self._line, self.radius)
+        near = pole - self.reach
+        # The foot and the top of the pole, the end of the arm, and the end of the tip.
+        line = _upright((pole, 0), (pole, self.height), (near, self.height), (near, self.height + self.tip))
+        return line, np.array([0, pole - self.reach / 2, self.height]), _tube(line, self.radius)
 
 
 @checked
@@ -150,25 +129,13 @@ class Hanger(_Target):
 
     name = "hanger"
 
-    @property
-    def _line(self) -> Array:
-        """Return the centre line (6, 3) through the near arm.
-
-        Its places are the foot and the top of a post, the rail over the hanger, the meeting of the arms, and the end and the tip
-        of the near arm.
-        """
-        return self._line_of(-1)
-
-    @property
-    def _seat(self) -> Array:
-        return np.array([0, self.distance - self.width / 4, self.height - self.drop / 2])
-
-    @property
-    def _rods(self) -> list[Rod]:
-        """Return one post, half of the rail, the stem and the near arm; then the far arm and the rest of the rail."""
+    def _shape(self) -> tuple[Array, Array, list[Rod]]:
+        line = self._line_of(-1)
+        seat = np.array([0, self.distance - self.width / 4, self.height - self.drop / 2])
+        # One post, half of the rail, the stem and the near arm; then the far arm and the rest of the rail.
         far_arm = self._line_of(1)[3:]
-        rest_of_rail = self._line_of(1)[2::-1] * [-1, 1, 1]
-        return [rod for line in (self._line, far_arm, rest_of_rail) for rod in _tube(line, self.radius)]
+        rest_of_rail = line[2::-1] * [-1, 1, 1]
+        return line, seat, [rod for part in (line, far_arm, rest_of_rail) for rod in _tube(part, self.radius)]
 
     @property
     def lowest(self) -> float:
@@ -177,10 +144,10 @@ class Hanger(_Target):
 
     def holds(self, loop: ArrayLike) -> bool:
         """Return whether a closed curve (L, 3) winds around either arm."""
-        return self._links(loop, self._line_of(-1), self._line_of(1))
+        return any(self._links(loop, self._line_of(side)) for side in (-1, 1))
 
     def _line_of(self, side: int) -> Array:
-        """Return the line from the foot of a post to the tip of the near (-1) or the far arm (1)."""
+        """Return the line (6, 3) from the foot of a post over rail and stem to the tip of the near (-1) or the far arm (1)."""
         pole = self.distance
         top = self.height + self.stem
         end = self.distance + side * self.width / 2
@@ -216,11 +183,6 @@ class Mannequin(_Target):
         return self.height - self.head_height - self.neck_length
 
     @property
-    def shoulder_radius(self) -> float:
-        """Return the radius of the shoulders, metres."""
-        return 0.3 * self.depth
-
-    @property
     def head_centre(self) -> Array:
         """Return the middle (3,) of the head."""
         return self.placed([0, self.distance, self.height - self.head_height / 2])
@@ -233,31 +195,22 @@ class Mannequin(_Target):
     @property
     def _shoulder(self) -> Array:
         """Return the middle (3,) of the right shoulder's end before the target is placed."""
-        radius = self.shoulder_radius
+        radius = 0.3 * self.depth
         return np.array([self.shoulder_width / 2 - radius, self.distance, self.shoulder_height - radius - 0.035])
-
-    @property
-    def _line(self) -> Array:
-        """Return foot, hips, shoulders, and top of the head: (4, 3)."""
-        hips = self.shoulder_height - self.torso_length
-        return _upright(*((self.distance, z) for z in (0, hips, self.shoulder_height, self.height)))
-
-    @property
-    def _seat(self) -> Array:
-        """Return the place (3,) on the axis at the top of the shoulders, where a neck strap lies."""
-        return np.array([0, self.distance, self.shoulder_height])
 
     @property
     def lowest(self) -> float:
         """Return the height of the hips."""
         return self.shoulder_height - self.torso_length + self.place[2]
 
-    @property
-    def _rods(self) -> list[Rod]:
-        foot, hips, neck, top = self._line
+    def _shape(self) -> tuple[Array, Array, list[Rod]]:
+        hips_height = self.shoulder_height - self.torso_length
+        line = _upright(*((self.distance, z) for z in (0, hips_height, self.shoulder_height, self.height)))
+        foot, hips, neck, top = line  # a neck strap lies on the axis at the top of the shoulders, which is the seat
         # Head, neck, stand and the middle of the torso lie on the axis.
+        shoulder_radius = 0.3 * self.depth
         ball = np.array([0, 0, self.head_radius])
-        low = neck - [0, 0, self.shoulder_radius]
+        low = neck - [0, 0, shoulder_radius]
         radius = self.depth / 2
         chest = neck - [0, 0, 1.4 * radius]
         hip = hips + [0, 0, radius]
@@ -266,9 +219,9 @@ class Mannequin(_Target):
         rods = [head, (low, top - ball, self.neck_radius), (foot, hips, 0.02), (chest, hip, radius)]
         # A shoulder and a side of the torso on the right and on the left.
         for side in (1, -1):
-            rods.append((low, self._shoulder * [side, 1, 1], self.shoulder_radius))
+            rods.append((low, self._shoulder * [side, 1, 1], shoulder_radius))
             rods.append((chest + side * aside, hip + 0.75 * side * aside, radius))
-        return rods
+        return line, neck, rods
 
     def holds(self, loop: ArrayLike) -> bool:
         """Return whether a closed curve (L, 3) is around the axis and below the middle of the head, or around a shoulder."""

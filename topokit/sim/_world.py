@@ -11,7 +11,6 @@ import tempfile
 import weakref
 from collections.abc import Iterator, Sequence
 from pathlib import Path
-from types import ModuleType
 from typing import Annotated, Any
 
 import numpy as np
@@ -80,7 +79,7 @@ class SimulationConfig:
 
         Idea: with springs of stiffness k = s m / (N dt^2) the mass m cancels in the strain: a strap that carries the garment
         stretches by about g dt^2 S / (s L^2), where S is the garment's size and L the length of its edges. Small or fine meshes
-        are rubber because the clock is too slow for them, not because they are heavy. So dt goes with L / sqrt(S).
+        are like rubber where the clock is too slow for them. So dt goes with L / sqrt(S).
 
         Parameters
         ----------
@@ -109,7 +108,7 @@ class SimulationConfig:
             "damping": damping * mass / len(garment.vertices),
             "margin": min(0.3, 0.18 * usual / shortest),  # at most 0.3 of the shortest edge, and 0.18 of the median one
         }
-        return cls(**{**physics, **options})
+        return cls(**physics | options)
 
     def elastic_stiffness(self, n_vertices: int) -> float:
         """Return the stiffness of the springs, N/m, of a garment with this number of vertices."""
@@ -135,13 +134,6 @@ def _silent() -> Iterator[None]:
             os.close(copy)
 
 
-def _pybullet() -> ModuleType:
-    """Return PyBullet, which is imported by the first world only."""
-    with _silent():
-        import pybullet
-    return pybullet
-
-
 class World(contextlib.AbstractContextManager["World"]):
     """A PyBullet client with a garment in it; use it in a `with` block, which always disconnects.
 
@@ -154,36 +146,35 @@ class World(contextlib.AbstractContextManager["World"]):
     """
 
     def __init__(self, garment: Garment, offset: Array, config: SimulationConfig) -> None:
-        self._p = _pybullet()
         self._garment = garment
         self._config = config
         self._goals: list[list[float]] | None = None
         with _silent():
+            import pybullet
+
+            self._p: Any = pybullet
             self._client = self._p.connect(self._p.DIRECT)
         # PyBullet ends the process when about a thousand clients are left open: a world that is dropped is closed, too.
-        self._disconnect = weakref.finalize(self, self._p.disconnect, self._client)
+        self.close = weakref.finalize(self, self._p.disconnect, self._client)
         self._bullet("resetSimulation", self._p.RESET_USE_DEFORMABLE_WORLD)
         self._bullet("setGravity", 0, 0, -config.GRAVITY)
         self._bullet("setPhysicsEngineParameter", fixedTimeStep=config.dt)
         self._cloth = self._load(offset)
         # Grippers without a shape: a kinematic or a fixed anchor body can make the cloth explode, these do not.
-        self._grippers: list[int] = []
-        self._anchors: list[int] = []
-        for vertex in garment.grips.tolist():
-            place = (garment.vertices[vertex] + offset).tolist()
-            self._grippers.append(self._bullet("createMultiBody", config.gripper_mass, -1, -1, basePosition=place))
-        for vertex, gripper in zip(garment.grips.tolist(), self._grippers, strict=True):
-            self._anchors.append(self._bullet("createSoftBodyAnchor", self._cloth, vertex, gripper, -1))
+        places = (garment.vertices[garment.grips] + offset).tolist()
+        self._grippers = [
+            self._bullet("createMultiBody", config.gripper_mass, -1, -1, basePosition=place) for place in places
+        ]
+        self._anchors = [
+            self._bullet("createSoftBodyAnchor", self._cloth, vertex, gripper, -1)
+            for vertex, gripper in zip(garment.grips.tolist(), self._grippers, strict=True)
+        ]
         # The floor is a thick slab with its top at z = 0: cloth would rest 10 cm above PyBullet's endless plane.
         slab = self._bullet("createCollisionShape", self._p.GEOM_BOX, halfExtents=[4, 4, 0.5])
         self._add_fixed(slab, basePosition=[0, 0, -0.5])
 
     def __exit__(self, *_: object) -> None:
         self.close()
-
-    def close(self) -> None:
-        """End the simulation and give its memory back."""
-        self._disconnect()
 
     def add_rods(self, rods: Sequence[tuple[Array, Array, float]]) -> None:
         """Add fixed capsules, each (start, end, radius)."""
@@ -310,23 +301,18 @@ class World(contextlib.AbstractContextManager["World"]):
         kd = config.kd
         dt = config.dt
         place, _ = self._p.getBasePositionAndOrientation(body, self._client)
-        (u, v, w), _ = self._p.getBaseVelocity(body, self._client)
-        # The weight of the cloth is fed forward, or the gripper sags.
+        velocity, _ = self._p.getBaseVelocity(body, self._client)
+        # A spring and a damper towards the goal. The weight of the cloth is fed forward, or the gripper sags.
+        numbers = zip(goal, before, place, velocity, strict=True)
+        force = [kp * (to - at) + kd * ((to - last) / dt - speed) for to, last, at, speed in numbers]
         holding = self._grippers[: len(self._anchors)]
         carried = config.mass / len(holding) if body in holding else 0.0
-        # A spring and a damper towards the goal, and the weight.
-        x = kp * (goal[0] - place[0]) + kd * ((goal[0] - before[0]) / dt - u)
-        y = kp * (goal[1] - place[1]) + kd * ((goal[1] - before[1]) / dt - v)
-        z = kp * (goal[2] - place[2]) + kd * ((goal[2] - before[2]) / dt - w)
-        z += config.GRAVITY * (config.gripper_mass + carried)
-        # The force is limited.
+        force[2] += config.GRAVITY * (config.gripper_mass + carried)
+        x, y, z = force
         size = math.sqrt(x * x + y * y + z * z)
         if size > config.max_force:
-            share = config.max_force / size
-            x *= share
-            y *= share
-            z *= share
-        self._p.applyExternalForce(body, -1, (x, y, z), place, self._p.WORLD_FRAME, self._client)
+            force = [config.max_force / size * part for part in force]
+        self._p.applyExternalForce(body, -1, force, place, self._p.WORLD_FRAME, self._client)
 
 
 def check_stretch(garment: Garment, config: SimulationConfig, points: Array, where: str) -> tuple[float, float]:
@@ -334,15 +320,11 @@ def check_stretch(garment: Garment, config: SimulationConfig, points: Array, whe
     if not np.isfinite(points).all():
         raise SimulationError(f"{where}: the cloth exploded")
     stretch = edge_lengths(points, garment.edges) / garment.edge_lengths
-    most = float(np.percentile(stretch, 99))
-    worst = float(stretch.max())
-    if most > config.max_stretch:
-        limit = f"max_stretch {config.max_stretch:g}"
-        raise SimulationError(f"{where}: one edge in a hundred is stretched {most:.2f} times, beyond {limit}")
-    if worst > config.max_edge_stretch:
-        limit = f"max_edge_stretch {config.max_edge_stretch:g}"
-        raise SimulationError(f"{where}: an edge is stretched {worst:.2f} times, beyond {limit}")
-    return most, worst
+    measured = float(np.percentile(stretch, 99)), float(stretch.max())
+    for limit, most in zip(("max_stretch", "max_edge_stretch"), measured, strict=True):
+        if most > getattr(config, limit):
+            raise SimulationError(f"{where}: the cloth is stretched {most:.2f} times, beyond {limit}")
+    return measured
 
 
 def _turn_z_to(axis: Array) -> list[float]:
