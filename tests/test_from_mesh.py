@@ -149,7 +149,7 @@ def test_loops_of_a_closed_surface_are_those_of_persistence():
     [
         ({"loops": {"hole": "loop 9"}}, KeyError, "loop 9"),
         ({"loops": {"hole": [0, 1, 10**6]}}, ValueError, "hole"),
-        ({"loops": {"hole": SHEET.loops[0][::2]}}, ValueError, "no edge joins"),
+        ({"loops": {"hole": SHEET.loops[0][::2]}}, ValueError, "closed cycle"),
         ({"grips": [1, 1]}, ValueError, "grips"),
         ({"unit": 0.0}, ValueError, "unit"),
         (

@@ -322,8 +322,9 @@ def check_stretch(garment: Garment, config: SimulationConfig, points: Array, whe
     stretch = edge_lengths(points, garment.edges) / garment.edge_lengths
     measured = float(np.percentile(stretch, 99)), float(stretch.max())
     for limit, most in zip(("max_stretch", "max_edge_stretch"), measured, strict=True):
-        if most > getattr(config, limit):
-            raise SimulationError(f"{where}: the cloth is stretched {most:.2f} times, beyond {limit}")
+        allowed = getattr(config, limit)
+        if most > allowed:
+            raise SimulationError(f"{where}: the cloth is stretched {most:.2f} times, beyond {limit} {allowed:g}")
     return measured
 
 
