@@ -8,14 +8,11 @@ import shutil
 import subprocess
 import sys
 import time
-from collections.abc import Callable, Generator, Iterable, Iterator
-from contextlib import contextmanager
+from collections.abc import Callable, Iterable
 from pathlib import Path
 from typing import Any
 
-import pytest
-
-from topokit.data import Dataset, DatasetConfig, _jobs, generate_dataset, label_dataset
+from topokit.data import Dataset, DatasetConfig, generate_dataset, label_dataset
 from topokit.sim import WARDROBE, SimulationConfig
 
 from conftest import hear_ctrl_c
@@ -44,27 +41,17 @@ def write_cloth(path: Path, *, stretched: float = 1.0) -> dict[str, Any]:
     }
 
 
-@contextmanager
-def in_this_process() -> Iterator[None]:
-    """Do the jobs one after another in this process, which has the compiled kernels loaded already."""
-
-    def jobs(job: Any, items: Any, **_: Any) -> Generator[Any, None, None]:
-        for item in items:
-            yield item, job(item)
-
-    with pytest.MonkeyPatch.context() as patch:
-        patch.setattr(_jobs, "in_fresh_processes", jobs)
-        yield
-
-
-def labelled(folder: Path, episodes: int, *, observed: bool = True) -> Path:
+def labelled(folder: Path, episodes: int) -> Path:
     """Make a dataset with labels of all vertices, and of 40 observed ones."""
     generate_dataset(TINY, folder, episodes, SEED, progress=False)
-    with in_this_process():
-        label_dataset(folder, options=OPTIONS, progress=False)
-        if observed:
-            label_dataset(folder, "observed", n_points=40, options=OPTIONS, progress=False)
+    label_dataset(folder, options=OPTIONS, progress=False)
+    label_dataset(folder, "observed", n_points=40, options=OPTIONS, progress=False)
     return folder
+
+
+def contents(folder: Path) -> dict[str, bytes]:
+    """Return the files of a folder."""
+    return {path.name: path.read_bytes() for path in folder.iterdir() if path.is_file()}
 
 
 def part_of(dataset: Dataset, numbers: Iterable[int], out: Path) -> Dataset:

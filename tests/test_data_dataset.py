@@ -9,14 +9,14 @@ import numpy as np
 import pytest
 
 from topokit import track
-from topokit._archive import FormatError, load_archive, save_archive
-from topokit._processes import ProcessError
-from topokit.data import Dataset, DatasetConfig, _jobs, label_dataset, make_episode
-from topokit.data._folder import Record, write_json
+from topokit._archive import load_archive, save_archive
+from topokit.data import Dataset, DatasetConfig, _label, label_dataset, make_episode
+from topokit.data._dataset import Record
+from topokit.data._folder import write_json
 from topokit.data._labels import KIND
 from topokit.io import state_arrays
 
-from small_datasets import OPTIONS, SEED, TINY, in_this_process, labelled, part_of
+from small_datasets import OPTIONS, SEED, TINY, contents, labelled, part_of
 
 EPISODES = 8
 
@@ -115,8 +115,7 @@ def test_loops_without_a_slot_are_counted(made):
 def test_labels_go_on_and_refuse_other_options(copy, made):
     whole = (copy / "labels/full/00000004.npz").read_bytes()
     (copy / "labels/full/00000004.npz").unlink()
-    with in_this_process():
-        labels = label_dataset(copy, options=OPTIONS, progress=False)
+    labels = label_dataset(copy, options=OPTIONS, progress=False)
     assert (copy / "labels/full/00000004.npz").read_bytes() == whole
     assert labels.checksum() == Dataset(made).labels("full").checksum()
     refused = [
@@ -124,21 +123,34 @@ def test_labels_go_on_and_refuse_other_options(copy, made):
         ({"observation": "camera"}, "without cameras"),
         ({"observation": "nothing"}, "observation"),
         ({"observation": "observed", "n_points": 3}, "n_points"),
-        ({"options": {"match": dict}}, "match"),
-        ({"name": "../full"}, "name"),
+        ({"observation": "observed", "options": {"match": dict}}, "not JSON serializable"),
     ]
     for options, says in refused:
-        with pytest.raises(ValueError, match=says):
+        with pytest.raises((TypeError, ValueError), match=says):
             label_dataset(copy, progress=False, **options)
 
 
-def test_labels_whose_processes_died_are_recorded(copy, monkeypatch):
-    (copy / "labels/full/00000004.npz").unlink()
-    died = [(4, ProcessError("out of memory"))]
-    monkeypatch.setattr(_jobs, "in_fresh_processes", lambda *_, **__: (one for one in died))
-    labels = label_dataset(copy, options=OPTIONS, progress=False)
-    assert labels.counts == {"failed": 1, "ok": EPISODES - 1}
-    assert (labels.record(4).status, labels.record(4).garment) == ("failed", Dataset(copy).record(4).garment)
+def test_labels_that_are_stopped_leave_whole_files_and_go_on(copy, monkeypatch):
+    """Ctrl-C comes while the second of two episodes is tracked: the first is kept, and nothing is half written."""
+    whole = contents(copy / "labels/full")
+    for number in (4, 5):
+        (copy / f"labels/full/{number:08d}.npz").unlink()
+    real = _label.track
+    calls = []
+
+    def stopped_at_the_second(*arguments, **options):
+        calls.append(arguments)
+        if len(calls) == 2:
+            raise KeyboardInterrupt
+        return real(*arguments, **options)
+
+    monkeypatch.setattr(_label, "track", stopped_at_the_second)
+    with pytest.raises(KeyboardInterrupt):
+        label_dataset(copy, options=OPTIONS, progress=False)
+    left = contents(copy / "labels/full")
+    assert left == {name: content for name, content in whole.items() if name != "00000005.npz"}
+    label_dataset(copy, options=OPTIONS, progress=False)
+    assert contents(copy / "labels/full") == whole
 
 
 # -- damage -----------------------------------------------------------------------------------------------------------------
@@ -172,7 +184,7 @@ def relabel(folder, change):
 )
 def test_damage_is_refused_by_every_reader(copy, damage, says):
     damage(copy)
-    with pytest.raises(FormatError, match=says):
+    with pytest.raises(ValueError, match=says):
         Dataset(copy).states(2, "full")
 
 
@@ -193,7 +205,7 @@ def without_episodes(folder, n):
     dataset.episodes = np.arange(n)
     for i in range(n):
         garment, _, target = config.draw(0, i).task.partition("-")
-        dataset._known[i] = Record(episode=i, status="ok", garment=garment, target=target)
+        dataset._records[i] = Record(episode=i, status="ok", garment=garment, target=target)
     return dataset
 
 

@@ -20,19 +20,15 @@ from topokit.data import (
     DatasetConfig,
     WindowDataset,
     _folder,
-    _jobs,
+    _generate,
     generate_dataset,
     make_episode,
 )
 from topokit.io import save_episode
 
-from small_datasets import SEED, TINY, command, wait_until, write_cloth
+from small_datasets import SEED, TINY, command, contents, wait_until, write_cloth
 
 EPISODES = 12
-
-
-def contents(folder):
-    return {path.name: path.read_bytes() for path in folder.iterdir() if path.is_file()}
 
 
 def episodes_in(folder):
@@ -77,7 +73,7 @@ def outcomes(monkeypatch):
     def jobs(job, numbers, **_):
         yield from ((number, given[number]) for number in numbers if number in given)
 
-    monkeypatch.setattr(_jobs, "in_fresh_processes", jobs)
+    monkeypatch.setattr(_generate, "in_fresh_processes", jobs)
     return given
 
 
@@ -135,8 +131,8 @@ def test_what_a_stopped_process_was_writing_is_removed(tmp_path, monkeypatch):
         raise KeyboardInterrupt
         yield
 
-    monkeypatch.setattr(_jobs, "in_fresh_processes", stopped)
-    with pytest.raises(KeyboardInterrupt, match="0 of 1 are done"):
+    monkeypatch.setattr(_generate, "in_fresh_processes", stopped)
+    with pytest.raises(KeyboardInterrupt):
         generate_dataset(TINY, tmp_path / "data", 1, SEED, progress=False)
     assert [path.name for path in (tmp_path / "data").iterdir()] == ["dataset.json"]
 
@@ -150,9 +146,8 @@ def test_what_a_stopped_process_was_writing_is_removed(tmp_path, monkeypatch):
         ),
         ({"seed": 6}, f"seed = {SEED}.*seed = 6"),
         ({"episodes": 3}, "cannot shrink to 3"),
-        ({"episodes": 0}, "episodes must be"),
-        ({"seed": True}, "seed must be"),
-        ({"time_limit": 0}, "time_limit must be"),
+        ({"episodes": 0}, "episodes: "),
+        ({"seed": True}, "seed: "),
     ],
 )
 def test_something_else_is_refused(undisturbed, changes, says):
@@ -168,19 +163,11 @@ def test_other_versions_are_refused(undisturbed, monkeypatch):
         generate_dataset(TINY, undisturbed, EPISODES, SEED, progress=False)
 
 
-def test_a_folder_of_other_files_is_refused(tmp_path):
-    (tmp_path / "thesis.tex").write_text("chapter 1")
-    with pytest.raises(ValueError, match="holds other files"):
-        generate_dataset(TINY, tmp_path, 1, SEED, progress=False)
-    assert [path.name for path in tmp_path.iterdir()] == ["thesis.tex"]
-
-
-def test_what_was_half_written_is_swept_and_what_does_not_read_is_made_again(undisturbed, tmp_path):
+def test_what_was_half_written_is_swept_and_what_is_missing_is_made_again(undisturbed, tmp_path):
     folder = tmp_path / "data"
     generate_dataset(TINY, folder, 3, SEED, progress=False)
     whole = contents(folder)
     (folder / ".00000001.npz.abc.part").write_bytes(b"half")
-    (folder / "00000001.npz").write_bytes(whole["00000001.npz"][:1000])
     (folder / "00000002.npz").unlink()
     generate_dataset(TINY, folder, 3, SEED, progress=False)
     assert contents(folder) == whole

@@ -2,26 +2,30 @@
 
 from __future__ import annotations
 
+import json
 from collections.abc import Iterator, Mapping, Sequence
+from dataclasses import field, fields
 from functools import cached_property
 from pathlib import Path
-from typing import Annotated, Literal
+from typing import Annotated, Any, Literal
 
 import numpy as np
 from numpy.typing import NDArray
 from pydantic import Field
 
-from topokit._config import checked
+from topokit._archive import load_header
+from topokit._config import checked, load
 from topokit.io import EPISODE_KIND, Episode, load_episode, states_of
 from topokit.seqph import TopologicalState
 
-from ._folder import NotNegative, NumberedFiles, read_settings
+from ._folder import NumberedFiles
 from ._labels import ABOUT as ABOUT_LABELS
 from ._labels import Labels
 from ._recipe import DatasetConfig
 
 ABOUT = "dataset.json"
 Ids = NDArray[np.int64]
+NotNegative = Annotated[int, Field(ge=0)]
 
 
 @checked
@@ -35,6 +39,23 @@ class DatasetSettings:
     versions: Mapping[str, str]  #: versions of the packages on which bytes depend
     #: numbers of the episodes, for a part of a dataset; all of them when not given
     numbers: tuple[NotNegative, ...] | None = None
+
+
+@checked
+class Record:
+    """A summary of an episode."""
+
+    episode: NotNegative
+    #: result: ok (there is a file), rejected (it was not physical) or failed (it could not be made)
+    status: Literal["ok", "rejected", "failed"] = "ok"
+    reason: str = ""  #: reason of a status other than ok
+    task: str = ""
+    garment: str = ""
+    target: str = ""
+    seed: NotNegative = 0  #: seed of the episode
+    success: bool = False
+    frames: NotNegative = 0
+    physics: Mapping[str, Any] = field(default_factory=dict)
 
 
 class Dataset(NumberedFiles):
@@ -51,52 +72,74 @@ class Dataset(NumberedFiles):
     ------
     FileNotFoundError
         When there is no dataset in the folder.
-    FormatError
+    ValueError
         When the file of its settings (`dataset.json`) is damaged.
     """
 
     def __init__(self, folder: str | Path) -> None:
         if not (Path(folder) / ABOUT).is_file():
             raise FileNotFoundError(f"{folder}: there is no dataset (no {ABOUT}); topokit generate makes one")
-        super().__init__(folder, EPISODE_KIND, ABOUT)
-        self.settings: DatasetSettings = read_settings(DatasetSettings, self.folder / ABOUT)  #: its settings
+        super().__init__(folder, ABOUT)
+        self.settings = load(DatasetSettings, self.folder / ABOUT)  #: its settings
+        self.config = self.settings.config  #: the configuration from which the episodes were drawn
+        self.seed = self.settings.seed  #: the seed with which the episodes were drawn
+        #: the numbers of all planned episodes
+        self.wanted: Sequence[int] = self.settings.numbers or range(self.settings.episodes)
+        #: all garments that the configuration can draw, in alphabetical order
+        self.garments = tuple(sorted({task.rpartition("-")[0] for task in self.config.tasks}))
+        self._records: dict[int, Record] = {}
         self._labels: dict[str, Labels] = {}
-
-    @property
-    def config(self) -> DatasetConfig:
-        """Return the configuration from which the episodes were drawn."""
-        return self.settings.config
-
-    @property
-    def seed(self) -> int:
-        """Return the seed with which the episodes were drawn."""
-        return self.settings.seed
-
-    @property
-    def wanted(self) -> Sequence[int]:
-        """Return the numbers of all planned episodes of the dataset."""
-        if self.settings.numbers is not None:
-            return self.settings.numbers
-        return range(self.settings.episodes)
-
-    @cached_property
-    def garments(self) -> tuple[str, ...]:
-        """Return all garments that the configuration can draw, in alphabetical order."""
-        return tuple(sorted({task.rpartition("-")[0] for task in self.config.tasks}))
 
     def __len__(self) -> int:
         return len(self.episodes)
 
     def __repr__(self) -> str:
-        counted = f"{len(self)} of {len(self.wanted)} episodes, {len(self.refused)} rejected or failed"
+        counted = f"{len(self)} of {len(self.wanted)} episodes, {len(self.failures)} rejected or failed"
         return f"Dataset({str(self.folder)!r}, {counted})"
 
     def __getitem__(self, episode: int) -> Episode:
         """Return an episode by its number; raise KeyError when there is none, FormatError when its file is damaged."""
-        return load_episode(self.path_of(episode))
+        path = self.path_of(episode)
+        if path.suffix == ".json":
+            record = self.record(episode)
+            raise KeyError(f"episode {episode} was {record.status}: {record.reason}")
+        return load_episode(path)
 
     def __iter__(self) -> Iterator[Episode]:
         return (self[number] for number in self.episodes.tolist())
+
+    def record(self, episode: int) -> Record:
+        """Return the summary of an episode, read from the header of its file at the first use.
+
+        Raises
+        ------
+        KeyError
+            When the episode was not tried.
+        FormatError
+            When its file is damaged.
+        """
+        if episode not in self._records:
+            path = self.path_of(episode)
+            header = json.loads(path.read_bytes()) if path.suffix == ".json" else load_header(path, EPISODE_KIND)
+            known = {part.name: header[part.name] for part in fields(Record) if part.name in header}
+            self._records[episode] = Record(**{**known, "episode": int(path.stem)})
+        return self._records[episode]
+
+    @cached_property
+    def records(self) -> tuple[Record, ...]:
+        """Return a record for every episode that was tried, in order."""
+        return tuple(self.record(number) for number in sorted(self._paths))
+
+    @property
+    def failures(self) -> tuple[Record, ...]:
+        """Return the records of rejected and failed episodes, each with its `reason`."""
+        return tuple(self.record(number) for number in sorted({*self._paths} - {*self.episodes.tolist()}))
+
+    @property
+    def counts(self) -> dict[str, int]:
+        """Return the numbers of "ok", "rejected" and "failed" episodes, each only when there are any."""
+        statuses = ["ok"] * len(self) + [record.status for record in self.failures]
+        return {status: statuses.count(status) for status in sorted(set(statuses))}
 
     @property
     def label_names(self) -> tuple[str, ...]:

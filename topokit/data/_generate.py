@@ -1,5 +1,7 @@
 """Make the episodes of a dataset in parallel; a run that was stopped goes on with the episodes that are missing.
 
+Idea: a process writes the same bytes for an episode whenever it does so, and it writes a file whole or not at all.
+
 Source: the 23,000 trajectories of Antonova et al. 2021, section 6. Taught in chapter 11.
 """
 
@@ -9,15 +11,15 @@ import dataclasses
 from functools import partial
 from importlib.util import find_spec
 from pathlib import Path
-from typing import Any
 
-from topokit._validate import positive, whole
+from topokit._config import from_mapping, load
+from topokit._cores import n_cores
+from topokit._processes import ProcessError, in_fresh_processes
 from topokit.io import save_episode
 from topokit.sim import SimulationError
 
-from ._dataset import ABOUT, Dataset
-from ._folder import archive_path, begin, failure_path, versions_of, write_json
-from ._jobs import make_files
+from ._dataset import ABOUT, Dataset, DatasetSettings
+from ._folder import archive_path, begin, remove_parts, versions_of, write_json
 from ._recipe import DatasetConfig, make_episode, task_of
 
 
@@ -67,55 +69,57 @@ def generate_dataset(
     ImportError
         When PyBullet is not installed.
     """
+    from tqdm import tqdm
+
     if find_spec("pybullet") is None:
         raise ImportError("generate_dataset needs PyBullet: pip install 'topokit[sim,data]'")
-    whole(episodes, "episodes", 1)
-    whole(seed, "seed")
-    positive(time_limit, "time_limit", zero=False)
     # Read meshes of one's own before anything is written.
     for task in config.tasks:
         if task.rpartition("-")[0] in config.meshes:
             task_of(config, task, config.garment(task))
+
     # Begin the folder, or check that it was begun with the same configuration, seed and versions.
     folder = Path(out)
     about = {"schema": 2, "config": config.to_json(), "seed": seed, "episodes": episodes}
-    begin(folder, ABOUT, {**about, "versions": versions_of("numpy", "scipy", "pybullet")})
-    dataset = Dataset(folder)
-    # Make the episodes that are missing.
-    missing = [number for number in range(episodes) if not dataset.is_done(number)]
-    job = partial(_make_file, str(folder))
-    make_files(folder, missing, job, partial(_describe, dataset), n_workers, time_limit, progress)
+    about["versions"] = versions_of("numpy", "scipy", "pybullet")
+    settings = from_mapping(DatasetSettings, about, "the dataset")
+    begin(folder, ABOUT, about)
+
+    # Make the episodes that are missing. An error that is no fault of an episode stops the whole command.
+    missing = Dataset(folder).missing([*range(episodes)])
+    work = partial(_make_file, folder)
+    outcomes = in_fresh_processes(work, missing, n_workers=n_workers or n_cores(), time_limit=time_limit, tries=3)
+    try:
+        for number, outcome in tqdm(outcomes, total=len(missing), unit="episode", disable=not progress):
+            if isinstance(outcome, ProcessError):
+                _write_reason(folder, settings, number, "failed", f"after 3 tries: {outcome}")
+            elif isinstance(outcome, Exception):
+                raise outcome
+    finally:
+        outcomes.close()
+        remove_parts(folder)
     return Dataset(folder)
 
 
-def _make_file(folder: str, number: int) -> str:
-    """Simulate an episode and write its file, or a record of its failure; return the status.
-
-    This runs in a fresh process. Errors that are no fault of the episode, such as a full disk, are raised, and stop the
-    whole command.
-    """
-    dataset = Dataset(folder)
-    description = _describe(dataset, number)
+def _make_file(folder: Path, number: int) -> None:
+    """Simulate an episode in a fresh process, and write its file, or the reason why there is none."""
+    settings = load(DatasetSettings, folder / ABOUT)
     try:
-        episode = make_episode(dataset.config, dataset.seed, number, time_limit=None)
+        episode = make_episode(settings.config, settings.seed, number, time_limit=None)
     except OSError:  # a fault of the disk, not of the episode
         raise
-    except Exception as error:
-        # Cloth that explodes does so on every try, so the episode is rejected for good. Any other error may not come again.
-        status = "failed"
-        reason = f"{type(error).__name__}: {error}"
-        if isinstance(error, SimulationError):
-            status = "rejected"
-            reason = str(error)
-        write_json(failure_path(dataset.folder, number), {**description, "status": status, "reason": reason})
-        return status
-    provenance = {**episode.provenance, "dataset_seed": dataset.seed, "episode": number}
-    save_episode(archive_path(dataset.folder, number), dataclasses.replace(episode, provenance=provenance))
-    return "ok"
+    except SimulationError as error:  # cloth that explodes does so on every try
+        _write_reason(folder, settings, number, "rejected", str(error))
+    except Exception as error:  # this may not come again
+        _write_reason(folder, settings, number, "failed", f"{type(error).__name__}: {error}")
+    else:
+        provenance = {**episode.provenance, "dataset_seed": settings.seed, "episode": number}
+        save_episode(archive_path(folder, number), dataclasses.replace(episode, provenance=provenance))
 
 
-def _describe(dataset: Dataset, number: int) -> dict[str, Any]:
-    """Return the task, garment, target and seed of an episode, which are drawn before it is simulated."""
-    task, seed = dataset.config.draw(dataset.seed, number)
+def _write_reason(folder: Path, settings: DatasetSettings, number: int, status: str, reason: str) -> None:
+    """Write why there is no episode, with what was drawn for it before it was simulated."""
+    task, seed = settings.config.draw(settings.seed, number)
     garment, _, target = task.rpartition("-")
-    return {"task": task, "garment": garment, "target": target, "seed": seed}
+    drawn = {"task": task, "garment": garment, "target": target, "seed": seed}
+    write_json(archive_path(folder, number).with_suffix(".json"), {**drawn, "status": status, "reason": reason})

@@ -4,16 +4,17 @@ from __future__ import annotations
 
 from collections.abc import Mapping
 from pathlib import Path
-from typing import Any, Literal
+from typing import Annotated, Any, Literal
 
 import numpy as np
 from numpy.typing import NDArray
+from pydantic import Field
 
 from topokit._archive import FormatError, load_archive
-from topokit._config import checked
+from topokit._config import checked, load
 from topokit.io import Episode, check_states
 
-from ._folder import NumberedFiles, read_settings
+from ._folder import NumberedFiles
 
 KIND = "topokit-labels"
 ABOUT = "labels.json"
@@ -25,7 +26,8 @@ class LabelSettings:
 
     schema: Literal[2]
     observation: Literal["full", "observed", "camera"]  #: the points that were tracked
-    n_points: int | None  #: number of first points of an observation that were tracked; None for all
+    #: number of first points of an observation that were tracked; None for all
+    n_points: Annotated[int, Field(ge=4)] | None
     options: Mapping[str, Any]  #: the options of the tracker, `topokit.SeqPH`
     versions: Mapping[str, str]  #: the versions of the packages that made the labels
 
@@ -34,14 +36,9 @@ class Labels(NumberedFiles):
     """One set of labels of a dataset, in a folder beside its episodes: `Dataset.labels`."""
 
     def __init__(self, folder: Path) -> None:
-        super().__init__(folder, KIND, ABOUT)
-        #: the settings with which the labels were made
-        self.settings: LabelSettings = read_settings(LabelSettings, folder / ABOUT)
-
-    @property
-    def options(self) -> dict[str, Any]:
-        """Return the options of the tracker."""
-        return dict(self.settings.options)
+        super().__init__(folder, ABOUT)
+        self.settings = load(LabelSettings, folder / ABOUT)  #: the settings with which the labels were made
+        self.options = dict(self.settings.options)  #: the options of the tracker
 
     def cloud(self, episode: Episode) -> NDArray[np.float32]:
         """Return the cloud that was tracked in an episode, (T, n, 3) metres: all vertices, or the first observed points."""
