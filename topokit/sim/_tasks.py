@@ -11,7 +11,7 @@ from __future__ import annotations
 import functools
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, replace
-from typing import TypeVar, cast
+from typing import Any, TypeVar
 
 import numpy as np
 from numpy.typing import ArrayLike
@@ -25,7 +25,7 @@ from ._targets import Hanger, Hook, Mannequin, Target
 from ._wardrobe import WARDROBE
 
 Loop = TypeVar("Loop", bound=ArrayLike)
-PathScript = Callable[[Garment, Target, np.random.Generator], GripperPath]
+PathScript = Callable[[Garment, Any, np.random.Generator], GripperPath]
 
 
 @dataclass(frozen=True)
@@ -60,16 +60,15 @@ class Task:
             mannequin.
         """
         name = f"{garment.name}-{target.name}"
-        make = functools.partial(_itself, garment)
         if name in TASKS and not loops:
-            return replace(TASKS[name], garment=make, target=target)
-        has = ", ".join(garment.loop_names) or "none"
-        if not loops and len(garment.loop_names) != 1:
-            raise ValueError(f"name the loops by which the {garment.name} may hang; it has {has}")
+            return replace(TASKS[name], garment=lambda: garment, target=target)
         if isinstance(target, Mannequin):
             raise ValueError(f"no script puts a {garment.name} on a mannequin: make a Task with a plan of your own")
+        if not loops and len(garment.loop_names) != 1:
+            raise ValueError(f"name the loops by which the {garment.name} may hang; it has {list(garment.loop_names)}")
         loops = tuple(loops or garment.loop_names)
-        return cls(name, make, target, functools.partial(carry_over_tip, loop=loops[0], rest=2.0), loops)
+        plan = functools.partial(carry_over_tip, loop=loops[0], rest=2.0)
+        return cls(name, lambda: garment, target, plan, loops)
 
     def path(self, garment: Garment, target: Target, rng: np.random.Generator) -> GripperPath:
         """Return a path to a target where it is: the plan for it before it is placed, turned and moved with it.
@@ -84,7 +83,12 @@ class Task:
 
     def off_script(self, rng: np.random.Generator) -> Task:
         """Return the same task with a plan that leaves its script by draws of a generator; the path's `drawn` notes them."""
-        return replace(self, plan=functools.partial(_off_script, self.plan, rng))
+
+        def plan(garment: Garment, target: Target, script_rng: np.random.Generator) -> GripperPath:
+            """Return the path of the script, changed by draws."""
+            return off_script(self.plan(garment, target, script_rng), garment, target, rng)
+
+        return replace(self, plan=plan)
 
     def wanted(self, loops: Mapping[str, Loop]) -> dict[str, Loop]:
         """Return the loops that the task asks for, of true loops by their names."""
@@ -116,18 +120,6 @@ class Task:
         return all(on) if self.all_loops else any(on)
 
 
-def _itself(garment: Garment) -> Garment:
-    """Return the garment: with `functools.partial`, a function for a task that can be pickled."""
-    return garment
-
-
-def _off_script(
-    script: PathScript, changes: np.random.Generator, garment: Garment, target: Target, rng: np.random.Generator
-) -> GripperPath:
-    """Return the path of a script, changed by draws of the generator `changes`."""
-    return off_script(script(garment, target, rng), garment, target, changes)
-
-
 def carry_over_tip(
     garment: Garment,
     target: Target,
@@ -157,32 +149,30 @@ def carry_over_tip(
     return GripperPath(vias, _spread(garment), release=2.4, end=2.4 + rest)
 
 
-def pull_over_head(garment: Garment, target: Target, rng: np.random.Generator) -> GripperPath:
+def pull_over_head(garment: Garment, target: Mannequin, rng: np.random.Generator) -> GripperPath:
     """Carry a neck strap, drawn wide, over the head of a mannequin from the front, and lower it behind the neck."""
-    dummy = cast(Mannequin, target)
     spread = _spread(garment)
     below = _opening(garment)[1]
-    needed = 2 * dummy.head_radius + 0.06
+    needed = 2 * target.head_radius + 0.06
     wide = max(1.0, needed / float(np.linalg.norm(spread[0] - spread[1])))
-    top = dummy.height + below
-    axis = dummy.distance
+    top = target.height + below
+    axis = target.distance
     # Stations: far before the head, before it, over it, behind it, and down at the nape.
-    far = axis - dummy.depth / 2 - 0.1 - _reach(garment)
-    start = drawn_about(rng, [0, far, dummy.height], (-0.1, 0.1), (-0.4, -0.3), (-0.15, 0.05))
+    far = axis - target.depth / 2 - 0.1 - _reach(garment)
+    start = drawn_about(rng, [0, far, target.height], (-0.1, 0.1), (-0.4, -0.3), (-0.15, 0.05))
     before = drawn_about(rng, [0, axis - 0.12, top + 0.06], (-0.02, 0.02), (-0.03, 0.0), (0.0, 0.02))
-    over = drawn_about(rng, [0, axis + dummy.head_radius + 0.05, top + 0.03], (-0.01, 0.01), (0, 0.02), (0, 0.02))
-    behind = np.array([over[0], over[1], dummy.head_centre[2] - 0.02])
-    nape = np.array([over[0], axis + dummy.neck_radius + 0.04, dummy.shoulder_height + 0.06])
+    over = drawn_about(rng, [0, axis + target.head_radius + 0.05, top + 0.03], (-0.01, 0.01), (0, 0.02), (0, 0.02))
+    behind = np.array([over[0], over[1], target.head_centre[2] - 0.02])
+    nape = np.array([over[0], axis + target.neck_radius + 0.04, target.shoulder_height + 0.06])
     stations = zip((1.2, 2.1, 2.8, 3.4), (before, over, behind, nape), strict=True)
     vias = [Via(0.1, start), *(Via(time, place, wide) for time, place in stations)]
     return GripperPath(vias, spread, release=3.45, end=4.6)
 
 
-def put_on_shoulders(garment: Garment, target: Target, rng: np.random.Generator) -> GripperPath:
+def put_on_shoulders(garment: Garment, target: Mannequin, rng: np.random.Generator) -> GripperPath:
     """Carry two straps past the shoulders of a mannequin, one on either side, draw them together behind, and lower them."""
-    dummy = cast(Mannequin, target)
     spread = _spread(garment)
-    x, y, z = dummy.shoulders[0]
+    x, y, z = target.shoulders[0]
     half = float(np.linalg.norm(spread[0] - spread[1])) / 2
     wide = (x + 0.11) / half
     narrow = (x - 0.08) / half
@@ -195,17 +185,16 @@ def put_on_shoulders(garment: Garment, target: Target, rng: np.random.Generator)
     return GripperPath(vias, spread, release=3.15, end=4.3)
 
 
-def dress(garment: Garment, target: Target, rng: np.random.Generator) -> GripperPath:
+def dress(garment: Garment, target: Mannequin, rng: np.random.Generator) -> GripperPath:
     """Lift a garment by its shoulders over a mannequin, and lower it over head and shoulders."""
-    dummy = cast(Mannequin, target)
-    top = dummy.height
-    axis = dummy.distance
+    top = target.height
+    axis = target.distance
     # Stations: before the body, above it, with the grippers at the head, and down at the shoulders.
     length = float(garment.vertices[garment.grips, 2].mean() - garment.vertices[:, 2].min())
     start = drawn_about(rng, [0, axis, top + length + 0.10], (-0.08, 0.08), (-0.45, -0.35), (-0.05, 0.05))
     above = drawn_about(rng, [0, axis, top + length + 0.06], (-0.01, 0.01), (-0.01, 0.01), (0, 0.03))
     head = drawn_about(rng, [0, axis, top + 0.03], (-0.01, 0.01), (-0.01, 0.01), (0, 0))
-    down = [0, axis, dummy.shoulder_height + 0.03]
+    down = [0, axis, target.shoulder_height + 0.03]
     vias = [Via(0.1, start), Via(1.2, above, rest=True), Via(2.8, head), Via(3.9, down)]
     return GripperPath(vias, _spread(garment), release=4.0, end=5.2)
 
@@ -245,31 +234,25 @@ def _opening(garment: Garment, loop: str | None = None, opening: float = 1.0) ->
     return aside, max(-float(curve[:, 2].max()), 0.0) + slope + sag
 
 
-_carry_sideways = functools.partial(carry_over_tip, opening=1.15, rest=2.0)
-
-
 def _tasks() -> Iterator[Task]:
     """Yield every task of the wardrobe."""
-    # Everything with a loop to hang by goes on hooks and hangers.
-    both = ("tote2", "backpack")  # either loop of the backpack will do; the tote needs both
+    # Everything with a loop to hang by goes on hooks and hangers. Either loop of the backpack will do; the tote needs both.
+    carry_sideways = functools.partial(carry_over_tip, opening=1.15, rest=2.0)
     for target in (Hook(), Hanger()):
         for name, make in WARDROBE.items():
             if name in ("shirt", "vest"):
                 continue
-            plan: PathScript = _carry_sideways if name == "backpack" else carry_over_tip
+            plan: PathScript = carry_sideways if name == "backpack" else carry_over_tip
             names = LOOP_NAMES.get(name, ("handle",))
-            loops = names if name in both else names[:1]
+            loops = names if name in ("tote2", "backpack") else names[:1]
             yield Task(f"{name}-{target.name}", make, target, plan, loops, all_loops=name == "tote2")
     # What is worn goes on a mannequin.
-    bodies: list[tuple[str, PathScript, tuple[str, ...]]] = [
-        ("apron", pull_over_head, ("neck",)),
-        ("apron2", pull_over_head, ("neck",)),
-        ("backpack", put_on_shoulders, ("strap 1", "strap 2")),
-        ("shirt", dress, ("neck", "hem")),
-        ("vest", dress, ("neck", "hem")),
-    ]
-    for name, plan, loops in bodies:
-        yield Task(f"{name}-{Mannequin.name}", WARDROBE[name], Mannequin(), plan, loops, all_loops=True)
+    dress_over = (dress, ("neck", "hem"))
+    over_head = (pull_over_head, ("neck",))
+    on_shoulders = (put_on_shoulders, ("strap 1", "strap 2"))
+    worn = {"apron": over_head, "apron2": over_head, "backpack": on_shoulders, "shirt": dress_over, "vest": dress_over}
+    for name, (plan, loops) in worn.items():
+        yield Task(f"{name}-mannequin", WARDROBE[name], Mannequin(), plan, loops, all_loops=True)
 
 
 TASKS: Mapping[str, Task] = {task.name: task for task in _tasks()}
@@ -286,7 +269,6 @@ def resolved(task: str | Task | None, garment: Garment | None, target: Target | 
         task = TASKS[task]
     garment = garment or task.garment()
     if not {*task.loops} <= {*garment.loop_names}:
-        asks = ", ".join(task.loops)
         has = ", ".join(garment.loop_names) or "none"
-        raise ValueError(f"{task.name} asks for the loops {asks}; the {garment.name} has {has}")
+        raise ValueError(f"{task.name} asks for the loops {', '.join(task.loops)}; the {garment.name} has {has}")
     return task, garment, target or task.target
