@@ -11,9 +11,10 @@ from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
-from numpy.typing import NDArray
+from numpy.typing import ArrayLike, NDArray
 from scipy.optimize import brentq
-from scipy.sparse import coo_matrix, diags
+from scipy.sparse import coo_matrix
+from scipy.sparse.csgraph import laplacian
 from scipy.sparse.linalg import spsolve
 from scipy.spatial import Delaunay, cKDTree
 
@@ -74,15 +75,10 @@ class Arch:
             return curve
         return np.vstack([curve[:1], curve + [0, self.leg], curve[-1:]])
 
-    def points(self, share: Array, offset: float = 0.0) -> Array:
+    def points(self, share: ArrayLike, offset: float = 0.0) -> Array:
         """Return (k, 2) points at these shares of the arc length of the arch moved outwards by `offset`."""
         dense = self._dense(offset)
-        return points_at(dense, share * arc_length(dense)[-1])
-
-    @property
-    def thirds(self) -> Array:
-        """Return (2, 2) the points at a third of the arch from either end."""
-        return self.points(np.array([1 / 3, 2 / 3]))
+        return points_at(dense, np.asarray(share) * arc_length(dense)[-1])
 
     def strap(self, width: float, spacing: float, length: float) -> tuple[Array, list[Array], Array]:
         """Return a strap: its outer border (181, 2), the opening below (inner border and line back), its inner vertices."""
@@ -131,24 +127,36 @@ def ring(one: Ids, other: Ids) -> Ids:
 
 
 def cut(
-    outline: Sequence[Array], holes: Sequence[Sequence[Array]], spacing: float, fixed: Array | None = None
+    outline: Sequence[Array], holes: Sequence[Sequence[Array]], spacing: float, fixed: Sequence[Array] = ()
 ) -> Panel:
-    """Cut a pattern drawn in (x, z) out of the plane y = 0; `fixed` are inner vertices (k, 2) to keep where they are.
+    """Cut a pattern drawn in (x, z) out of the plane y = 0; `fixed` are inner vertices, each (k, 2), to keep where they are.
 
     The outline and each hole are closed chains of polylines, counter-clockwise, whose joints stay vertices.
     """
-    if fixed is None:
-        fixed = np.zeros((0, 2))
-    flat, faces, borders = triangulate(outline, holes, spacing, fixed)
+    # Vertices: the borders at the spacing, those that are fixed, and a lattice inside that keeps clear of both.
+    lines = [[_resample(line, spacing) for line in border] for border in (outline, *holes)]
+    borders = [np.concatenate(parts) for parts in lines]
+    kept = np.concatenate([*borders, *fixed])
+    lattice = _lattice(borders[0].min(axis=0), borders[0].max(axis=0), spacing)
+    lattice = lattice[_inside(lattice, borders) & (cKDTree(kept).query(lattice)[0] > 0.75 * spacing)]
+    points = np.concatenate([kept, lattice])
+    # Laplacian relaxation: each vertex of the lattice goes to the mean of its neighbours.
+    for _ in range(12):
+        edges = half_edges(_faces(points, borders, spacing))
+        ends = np.concatenate([edges, edges[:, ::-1]])
+        count = np.bincount(ends[:, 0], minlength=len(points))[:, None]
+        mean = np.column_stack([np.bincount(ends[:, 0], points[ends[:, 1], i], len(points)) for i in range(2)]) / count
+        points[len(kept) :] = mean[len(kept) :]
+    faces = _faces(points, borders, spacing)
     # At a coarse spacing Delaunay triangles can cut across a border.
+    around, *rims = (np.arange(a, b) for a, b in itertools.pairwise(np.cumsum([0, *map(len, borders)])))
     edges = half_edges(faces)
-    demand(all(is_cycle(border, edges) for border in borders), f"spacing {spacing} is too coarse: a border is lost")
+    demand(all(is_cycle(ids, edges) for ids in (around, *rims)), f"spacing {spacing} is too coarse: a border is lost")
     # Each polyline of the outline has its own share of the vertices around it.
-    starts = np.cumsum([0, *(count_steps(line, spacing) for line in outline)])
-    around = np.append(borders[0], borders[0][:1])
-    sides = tuple(around[a : b + 1] for a, b in itertools.pairwise(starts))
-    vertices = np.column_stack([flat[:, 0], np.zeros(len(flat)), flat[:, 1]])
-    return Panel(vertices, faces, sides, tuple(borders[1:]))
+    around = np.append(around, 0)
+    sides = tuple(around[a : b + 1] for a, b in itertools.pairwise(np.cumsum([0, *map(len, lines[0])])))
+    vertices = np.column_stack([points[:, 0], np.zeros(len(points)), points[:, 1]])
+    return Panel(vertices, faces, sides, tuple(rims))
 
 
 def band(lengths: Sequence[float], widths: Sequence[float], spacing: float) -> tuple[Panel, Ids, Ids, Ids, Ids]:
@@ -178,12 +186,11 @@ def inflate(panel: Panel, seams: Sequence[int], depth: float, top: float = np.in
     edges = np.unique(half_edges(panel.faces), axis=0)
     n = len(panel.vertices)
     graph = coo_matrix((np.ones(len(edges)), edges.T), shape=(n, n)).tocsr()
-    graph = graph + graph.T
-    laplacian = (diags(np.asarray(graph.sum(axis=1)).ravel()) - graph).tocsr()
+    matrix = laplacian(graph + graph.T).tocsr()
     free = np.setdiff1d(np.arange(n), seam)
     pressure = (panel.vertices[:, 2] <= top).astype(float)
     height = np.zeros(n)
-    height[free] = spsolve(laplacian[free][:, free], pressure[free])
+    height[free] = spsolve(matrix[free][:, free], pressure[free])
     height = depth * np.sqrt(height / height.max())
     return panel.placed(lambda vertices: vertices - height[:, None] * [0, 1, 0])
 
@@ -220,28 +227,6 @@ def sew(panels: Sequence[Panel], seams: Sequence[tuple[int, Ids, int, Ids]]) -> 
     return vertices, wind(faces), maps
 
 
-def triangulate(
-    outline: Sequence[Array], holes: Sequence[Sequence[Array]], spacing: float, fixed: Array
-) -> tuple[Array, Ids, list[Ids]]:
-    """Triangulate a flat pattern; return its vertices (n, 2), faces (f, 3) and borders (ids of the outline and of each hole)."""
-    # Vertices: the borders at the spacing, those that are fixed, and a lattice inside that keeps clear of both.
-    borders = [np.concatenate([_resample(line, spacing) for line in chain]) for chain in (outline, *holes)]
-    kept = np.concatenate([*borders, fixed])
-    lattice = _lattice(borders[0].min(axis=0), borders[0].max(axis=0), spacing)
-    lattice = lattice[_inside(lattice, borders) & (cKDTree(kept).query(lattice)[0] > 0.75 * spacing)]
-    points = np.concatenate([kept, lattice])
-    # Laplacian relaxation: each vertex of the lattice goes to the mean of its neighbours.
-    for _ in range(12):
-        edges = half_edges(_faces(points, borders, spacing))
-        ends = np.concatenate([edges, edges[:, ::-1]])
-        count = np.bincount(ends[:, 0], minlength=len(points))[:, None]
-        mean = np.column_stack([np.bincount(ends[:, 0], points[ends[:, 1], i], len(points)) for i in range(2)]) / count
-        points[len(kept) :] = mean[len(kept) :]
-    first = np.cumsum([0, *map(len, borders)])
-    ids = [np.arange(start, end) for start, end in itertools.pairwise(first)]
-    return points, _faces(points, borders, spacing), ids
-
-
 def _faces(points: Array, borders: Sequence[Array], spacing: float) -> Ids:
     """Return the Delaunay triangles inside the pattern, counter-clockwise, without the slivers along straight borders."""
     faces = Delaunay(points).simplices.astype(np.int64)
@@ -262,15 +247,11 @@ def points_at(line: Array, at: Array) -> Array:
     return np.column_stack([np.interp(at, length, line[:, i]) for i in range(2)])
 
 
-def count_steps(line: Array, spacing: float) -> int:
-    """Return into how many steps a polyline is divided."""
-    return max(1, round(float(arc_length(line)[-1]) / spacing))
-
-
 def _resample(line: Array, spacing: float) -> Array:
     """Return points at equal arc lengths of about `spacing` along a polyline, without its last point."""
-    count = count_steps(line, spacing)
-    return points_at(line, arc_length(line)[-1] * np.arange(count) / count)
+    length = float(arc_length(line)[-1])
+    count = max(1, round(length / spacing))
+    return points_at(line, length * np.arange(count) / count)
 
 
 def _lattice(low: Array, high: Array, spacing: float) -> Array:

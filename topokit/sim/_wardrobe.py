@@ -18,7 +18,6 @@ from topokit._validate import positive
 from ._garments import Garment
 from ._pattern import (
     Arch,
-    Panel,
     arc_length,
     band,
     chain,
@@ -77,27 +76,21 @@ def apron(
     # The outline runs up the right side, over the strap, down the left side and back along the hem.
     left = [mirror(line) for line in [armhole, *side[::-1]]]
     outline = [*side, armhole, outer, *left, *polyline((-half_body, hem), (half_body, hem))]
-    front = cut(outline, [opening], spacing, middle)
-    grips = front.nearest(arch.thirds)
+    front = cut(outline, [opening], spacing, [middle])
+    grips = front.nearest(arch.points([1 / 3, 2 / 3]))
     if loops == 1:
         return Garment("apron", front.vertices, front.faces, front.holes, grips, sizes, ("neck",))
-    vertices, faces, behind = _with_waist_strap(front, sizes)
-    return Garment("apron2", vertices, faces, (front.holes[0], behind), grips, sizes, ("neck", "waist"))
-
-
-def _with_waist_strap(front: Panel, sizes: Sizes) -> tuple[Array, Ids, Ids]:
-    """Return vertices and faces of an apron with a strap behind, and the loop along the strap and across the apron."""
-    length = sizes["waist_strap_length"]
-    waist = -sizes["bib_height"]
-    around = Arch.of_length(sizes["body_width"], length, "waist_strap_length")
-    strap, _, high, start, end = band([length], [sizes["waist_strap_width"]], sizes["spacing"])
-    share = strap.vertices[:, 0] / length
+    # The waist strap closes behind. Its loop runs along the strap from the right to the left, and back across the apron.
+    around = Arch.of_length(body_width, waist_strap_length, "waist_strap_length")
+    strap, _, high, start, end = band([waist_strap_length], [waist_strap_width], spacing)
+    share = strap.vertices[:, 0] / waist_strap_length
     cloth = strap.placed(lambda v: np.column_stack([around.points(share), waist + v[:, 2]]))
     ends = [(0, front.sides[1], 1, start), (0, front.sides[5][::-1], 1, end)]
     vertices, faces, (_, ids) = sew([front, cloth], ends)
-    behind = ids[high]  # from the right side to the left one
+    behind = ids[high]
     across = EdgeGraph(vertices, half_edges(front.faces)).path(int(behind[-1]), int(behind[0]))
-    return vertices, faces, np.concatenate([behind[:-1], across[:-1]])
+    true_loops = (front.holes[0], np.concatenate([behind[:-1], across[:-1]]))
+    return Garment("apron2", vertices, faces, true_loops, grips, sizes, ("neck", "waist"))
 
 
 def shirt(
@@ -220,12 +213,12 @@ def mask(
         return np.array([0, low]) - line
 
     holes = [hole, [opposite(line) for line in hole]]
-    panel = cut([*top, *map(opposite, top)], holes, spacing, np.concatenate([middle, opposite(middle)]))
+    panel = cut([*top, *map(opposite, top)], holes, spacing, [middle, opposite(middle)])
     # A dome that is 1 in the middle and 0 along the border.
     x, _, z = panel.vertices.T
     dome = np.clip(1 - (x / half) ** 2, 0, 1) * np.clip(1 - (2 * z / low - 1) ** 2, 0, 1)
     vertices = panel.vertices - depth * dome[:, None] * [0, 1, 0]
-    grips = panel.nearest(arch.thirds)
+    grips = panel.nearest(arch.points([1 / 3, 2 / 3]))
     return Garment("mask", vertices, panel.faces, panel.holes, grips, sizes, ("ear 1", "ear 2"))
 
 
@@ -286,17 +279,33 @@ def tote(
     if handle_length is None:
         handle_length = 0.72 if handles == 1 else 0.50
     sizes = _sizes(locals(), "handles", *(("handle_span",) if handles == 1 else ()))
+    if handles == 1:
+        vertices, faces, (handle, *_), grips = _bag(sizes, [])
+        return Garment("tote", vertices, faces, (handle,), grips, sizes, ("handle",))
+    # Each handle is cut in one piece with its panel.
     half = width / 2
-    sides = polyline((-half, 0), (-half, -height), (half, -height), (half, 0))
-    if handles == 2:
-        return _tote_of_two(sizes, sides)
-    vertices, faces, (handle, *_), grips = _tote_of_one(sizes, sides, [])
-    return Garment("tote", vertices, faces, (handle,), grips, sizes, ("handle",))
+    ends = handle_span + handle_width
+    fits = 2 * spacing <= handle_span - handle_width and ends <= width - 2 * spacing
+    demand(fits, "handle_span must leave room for handles of handle_width in width")
+    arch = Arch.of_length(handle_span, handle_length, "handle_length")
+    outer, opening, middle = arch.strap(handle_width, spacing, handle_length)
+    top = [*polyline((half, 0), outer[0]), outer, *polyline(outer[-1], (-half, 0))]
+    panel = cut([*_three_sides(width, height), *top], [opening], spacing, [middle])
+    front = inflate(panel, (0, 1, 2), depth / 2, top=0.0)
+    seams = [(0, panel.sides[i], 1, panel.sides[i]) for i in range(3)]
+    vertices, faces, (a, b) = sew([front, front.mirrored()], seams)
+    held = panel.nearest(arch.points([0.42, 0.58]))  # one on each handle, so that both stay up
+    loops = (a[panel.holes[0]], b[panel.holes[0]])
+    return Garment("tote2", vertices, faces, loops, np.array([a[held[0]], b[held[1]]]), sizes, ("handle 1", "handle 2"))
 
 
-def _tote_of_one(
-    sizes: Sizes, sides: list[Array], holes: Sequence[Sequence[Array]]
-) -> tuple[Array, Ids, list[Ids], Ids]:
+def _three_sides(width: float, height: float) -> list[Array]:
+    """Return the left side, the bottom and the right side of a panel with its top at z = 0."""
+    half = width / 2
+    return polyline((-half, 0), (-half, -height), (half, -height), (half, 0))
+
+
+def _bag(sizes: Sizes, holes: Sequence[Sequence[Array]]) -> tuple[Array, Ids, list[Ids], Ids]:
     """Return vertices, faces, loops (handle, rim, the holes of the front and of the back) and grips of a bag with one handle."""
     spacing = sizes["spacing"]
     width = sizes["width"]
@@ -306,7 +315,7 @@ def _tote_of_one(
     demand(handle_width <= width - 2 * spacing, "handle_width must be less than width by twice the spacing")
     # The panels: the ends of the handle stand in the upper corners, half of each on either panel.
     top = polyline((half, 0), (half - handle_width / 2, 0), (handle_width / 2 - half, 0), (-half, 0))
-    panel = cut([*sides, *top], holes, spacing)
+    panel = cut([*_three_sides(width, sizes["height"]), *top], holes, spacing)
     front = inflate(panel, (0, 1, 2), sizes["depth"] / 2)
     # The handle: a straight band bent along an arch from side to side.
     arch = Arch.of_length(width, handle_length, "handle_length")
@@ -323,27 +332,6 @@ def _tote_of_one(
     rim = chain(*panel.sides[3:6])
     loops = [ring(c[low], a[panel.sides[4]]), ring(a[rim], b[rim])]
     return vertices, faces, [*loops, *(ids[hole] for ids in (a, b) for hole in panel.holes)], c[grips]
-
-
-def _tote_of_two(sizes: Sizes, sides: list[Array]) -> Garment:
-    """Return a bag with a handle on each of its panels, cut in one piece with it."""
-    half = sizes["width"] / 2
-    spacing = sizes["spacing"]
-    span = sizes["handle_span"]
-    width = sizes["handle_width"]
-    fits = 2 * spacing <= span - width and span + width <= 2 * half - 2 * spacing
-    demand(fits, "handle_span must leave room for handles of handle_width in width")
-    arch = Arch.of_length(span, sizes["handle_length"], "handle_length")
-    outer, opening, middle = arch.strap(width, spacing, sizes["handle_length"])
-    top = [*polyline((half, 0), outer[0]), outer, *polyline(outer[-1], (-half, 0))]
-    panel = cut([*sides, *top], [opening], spacing, middle)
-    front = inflate(panel, (0, 1, 2), sizes["depth"] / 2, top=0.0)
-    seams = [(0, panel.sides[i], 1, panel.sides[i]) for i in range(3)]
-    vertices, faces, (a, b) = sew([front, front.mirrored()], seams)
-    held = panel.nearest(arch.points(np.array([0.42, 0.58])))  # one on each handle, so that both stay up
-    loops = (a[panel.holes[0]], b[panel.holes[0]])
-    grips = np.array([a[held[0]], b[held[1]]])
-    return Garment("tote2", vertices, faces, loops, grips, sizes, ("handle 1", "handle 2"))
 
 
 def backpack(
@@ -385,8 +373,8 @@ def backpack(
     bottom = polyline((-half, low), (half, low))
     outline = [*right, *top, *(mirror(line) for line in right[::-1]), *bottom]
     holes = [hole, [mirror(line) for line in hole]]
-    back = cut(outline, holes, spacing, np.concatenate([middle, mirror(middle)]))
-    held = to_the_right(arch.points(np.array([0.6])))
+    back = cut(outline, holes, spacing, [middle, mirror(middle)])
+    held = to_the_right(arch.points([0.6]))
     grips = back.nearest(np.concatenate([held * [-1, 1], held]))
     back = back.placed(lambda v: _folded(v, half, np.radians(strap_angle)))
     # The gusset, a band around three sides of the box, stands upright between back and front.
@@ -434,8 +422,7 @@ def net(
     demand(min(across, down) >= 2 * mesh_radius + spacing, "mesh_radius leaves no cord between the meshes")
     places = [((i + 0.5) * across - width / 2, (j + 0.5) * down - height) for j in range(3) for i in range(3)]
     meshes = [circle(x, z, mesh_radius) for x, z in places]
-    sides = polyline((-width / 2, 0), (-width / 2, -height), (width / 2, -height), (width / 2, 0))
-    vertices, faces, loops, grips = _tote_of_one(sizes, sides, meshes)
+    vertices, faces, loops, grips = _bag(sizes, meshes)
     names = ("handle", "rim", *(f"mesh {i + 1}" for i in range(18)))
     return Garment("net", vertices, faces, tuple(loops), grips, sizes, names)
 
