@@ -9,7 +9,7 @@ import numpy as np
 import pytest
 from scipy.spatial.distance import cdist
 from scipy.spatial.transform import Rotation
-from test_figures import HOOK, RING
+from test_figures import HOOK, RING, holed_clouds
 
 from chapter_tools.figures.lune_plots import joined_before, lune_components
 from chapter_tools.figures.pages import LOOPS
@@ -210,14 +210,6 @@ BETAS = """([points, alpha, epsilon]) => {
 }"""
 
 
-def holed_clouds(count: int, seed: int) -> list[np.ndarray]:
-    """Return shaken grids with a hole."""
-    rng = np.random.default_rng(seed)
-    grid = np.mgrid[-2:2.1:0.5, -2:2.1:0.5].reshape(2, -1).T
-    ring = grid[np.linalg.norm(grid, axis=1) > 0.9]
-    return [ring + rng.normal(0, 0.08, ring.shape) for _ in range(count)]
-
-
 def test_betas_are_those_of_the_library():
     clouds = [*holed_clouds(3, 1), *rings(6, 4)]
     cases = [(cloud, alpha, epsilon) for cloud in clouds for alpha, epsilon in ((0.0, 0.0), (0.12, 0.01), (0.0, 0.05))]
@@ -291,9 +283,6 @@ def test_both_rules_keep_the_loops_that_the_tracker_keeps():
         kept.add(tuple(rule["kept"] for rule in rules))
     assert left_out > 10
     assert {(0, 0), (0, 1), (1, 1), (0, 2), (2, 2)} <= kept
-
-
-# ---- belief along a film: evidence.js
 
 
 # ---- names by gates: follow.js
@@ -406,6 +395,3 @@ def test_curves_are_linked_as_by_topokit_and_their_distance_is_measured():
             fine = [(curve + share * (np.roll(curve, -1, 0) - curve)).reshape(-1, 3) for curve in (a, b)]
             assert answer["gap"] - 1e-9 <= cdist(*fine).min() < answer["gap"] + 0.15
     assert numbers >= {-3, -2, -1, 0, 1, 2, 3}
-
-
-# ---- shares

@@ -163,9 +163,6 @@ def test_the_guide_of_a_place_is_the_chapters():
     assert 20 < linked < 150
 
 
-# ---- a scene that is turned: turns.js
-
-
 # ---- a forecaster that copies: copycat.js
 
 COPIES = """({ features, futures, alive, film, frame, cut, asked }) => {
