@@ -1,4 +1,7 @@
-"""Test that the scripts of the chapters' figures, run by node, compute what the library computes."""
+"""Test that the scripts of the chapters' figures, run by node, compute what the library computes.
+
+The loops themselves are tested in test_page_kernel: figures and pages compute them by the same script.
+"""
 
 from __future__ import annotations
 
@@ -25,21 +28,6 @@ pytestmark = needs_node
 SEVEN = [[2.0, 0.0], [9.0, 0.0], [17.0, 0.0], [17.0, 9.0], [9.0, 10.0], [0.0, 9.0], [-4.0, 6.0]]
 
 
-def planar_clouds(count: int, most: int, seed: int) -> list[np.ndarray]:
-    """Return clouds of the plane, generic ones and ones with as many ties as the plane allows."""
-    rng = np.random.default_rng(seed)
-    circles = [(a, b) for a in range(-8, 9) for b in range(-8, 9) if a * a + b * b in (25, 50, 65)]
-    families = [
-        lambda n: rng.normal(size=(n, 2)),
-        lambda n: polygon(n, 1.7) + rng.normal(0, 0.1, (n, 2)),  # one wide loop
-        lambda n: rng.integers(0, 7, size=(n, 2)).astype(float),  # a grid: ties and duplicates
-        lambda n: polygon(n),  # ties up to rounding
-        lambda n: rng.normal(size=(n, 2))[rng.integers(0, n, n)],  # duplicates
-        lambda n: rng.permutation(np.array(circles, float))[:n],  # points of circles: exact ties
-    ]
-    return [families[k % len(families)](int(rng.integers(1, most + 1))) for k in range(count)]
-
-
 def rings(count: int, seed: int, low: int = 4, high: int = 25) -> list[np.ndarray]:
     """Return noisy rings."""
     rng = np.random.default_rng(seed)
@@ -48,33 +36,6 @@ def rings(count: int, seed: int, low: int = 4, high: int = 25) -> list[np.ndarra
 
 def answers(scripts: list[str], call: str, clouds: list[np.ndarray]) -> list:
     return by_script(scripts, call, [cloud.tolist() for cloud in clouds])
-
-
-# ---- loops: rips.js and complex.js
-
-RIPS = """(points) => {
-  const { loops, merges, edges } = rips(points);
-  return { merges, edges: edges.length, loops: loops.map((loop) => ({ ...loop, cycle: loop.cycle })) };
-}"""
-
-
-def as_rows(births, deaths, birth_edges, killer_edges, triangles) -> list:
-    """Return loops as sorted rows; the thick triangle comes first."""
-    triangles = [[sorted(triangle) for triangle in pair] for pair in triangles]
-    return sorted(zip(births, deaths, birth_edges, killer_edges, triangles, strict=True))
-
-
-def test_loops_are_those_of_rips_persistence_to_the_last_bit():
-    clouds = planar_clouds(600, 40, seed=1)
-    count = 0
-    for cloud, answer in zip(clouds, answers(LOOPS, RIPS, clouds), strict=True):
-        diagram = rips_persistence(cloud)
-        names = ("birth", "death", "birth_edge", "killer_edge", "killer_triangles")
-        expected = as_rows(*(getattr(diagram, name).tolist() for name in names))
-        keys = ("birth", "death", "birthEdge", "killerEdge", "triangles")
-        assert as_rows(*([loop[key] for loop in answer["loops"]] for key in keys)) == expected
-        count += len(diagram)
-    assert count > 1000
 
 
 # ---- lunes and the boundary matrix
@@ -226,7 +187,7 @@ PLACES = [*LOOPS, "places.js"]
 
 
 def test_the_places_of_a_loop_are_topokits():
-    clouds = [*rings(60, 1), *planar_clouds(30, 24, 1)[::6], *rings(1, 2, 3, 4)]
+    clouds = [*rings(60, 1), np.eye(2), *rings(1, 2, 3, 4)]
     seen = 0
     for cloud, answer in zip(clouds, answers(PLACES, "places", clouds), strict=True):
         diagram = rips_persistence(cloud)
