@@ -271,7 +271,7 @@ def test_a_cloud_without_a_loop_has_a_forecast_without_one():
         predictor.observe(rng.normal(0, 0.01, (6, 3)) + [0, 0, 0.9], hands)
     plan = np.repeat(hands[None], 60, axis=0)
     forecast = predictor.predict(plan, exact=(1, 60))
-    assert len(forecast.loops(0)) == 0
+    assert forecast.mixtures(0) == {}
     assert predictor.move(plan)[0].shape == (60, 6, 3)
 
 
@@ -295,8 +295,7 @@ def test_loops_are_born_in_the_moved_cloud(episode):
     predictor.loops, predictor.tracker = (loop,), tracker
     forecast = predictor.predict(plan, held, exact=(60, 10, 30))
     assert forecast.birth.shape == (60, 2)
-    assert [len(forecast.loops(step - 1)) for step in (10, 30, 60)] == [1, 2, 2]
-    assert len({loop.slot for loop in forecast.loops(29)}) == 2
+    assert [len(forecast.mixtures(step - 1)) for step in (10, 30, 60)] == [1, 2, 2]
     assert forecast.corners[29, 1, :, 0].min() > 0.5
     assert (forecast.presence[[9, 20, 40], 1] < -10).all()  # only where it was looked for
     assert forecast.noise[59, 1] == pytest.approx(1e-4 + born.death**2 + 4e-4, rel=0.01)

@@ -10,9 +10,9 @@ from torch.utils.data import default_collate
 import topokit as tk
 from topokit.io import load_episode
 from topokit.models import StateTensors, forecast_loss, loop_mixtures
-from topokit.models._states import corners_of, match_slots
+from topokit.models._states import corners_of, past_of
 
-from windows import SLOTS, RingWindows
+from windows import RingWindows
 
 
 @pytest.fixture(scope="module")
@@ -27,7 +27,7 @@ def window():
 
 
 def test_corners_give_the_triangles_of_the_tracker_back(tracked):
-    states = StateTensors.from_tracks(tracked, 3)
+    states = StateTensors.from_past(past_of(tracked, 3))
     totals = states.lifetime[0].sum(dim=0)  # slots are ordered by lifetime
     assert (totals.diff() <= 0).all()
     seen = 0
@@ -110,15 +110,11 @@ def test_an_edge_has_no_direction(window):
 
 def test_slots_are_matched(window):
     truth = StateTensors.from_labels(window)
-    order = torch.tensor([[2, 0, 3, 1]]).expand(6, -1)
-    moved = truth.slots(order)
+    moved = truth.map(lambda part: part[:, :, [2, 0, 3, 1]])
     assert losses(moved, window)[1]["presence"] > 1
     _, parts = losses(moved, window, match=True)
     assert parts["features"] < 1e-9
     assert parts["presence"] < 1e-6
-    found = match_slots(moved, truth)
-    assert torch.equal(found[1::2, [1, 3]], order[1::2, [1, 3]])  # the ring and the ghost
-    assert torch.equal(found.sort(dim=1).values, torch.arange(SLOTS).expand(6, -1))
 
 
 def test_absent_loops_have_no_say_in_places(window):

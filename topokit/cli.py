@@ -378,7 +378,8 @@ def predict(checkpoint: Path, episode: Path, frame: int = 15) -> Answer:
 
     rows = []
     for step in (1, 15, 30, 45, 60):
-        for loop in forecast.loops(step - 1):
-            place = dict(zip("xyz", loop.mixture().mean.tolist(), strict=True))
-            rows.append({"frame": frame + step, "loop": loop.slot, "presence": loop.presence, **place})
+        for slot, mixture in forecast.mixtures(step - 1).items():
+            presence = float(forecast.presence[step - 1, slot].sigmoid())
+            place = dict(zip("xyz", mixture.mean.tolist(), strict=True))
+            rows.append({"frame": frame + step, "loop": slot, "presence": presence, **place})
     return {"episode": str(episode), "frame": frame, "model": predictor.description["model"], "loops": rows}

@@ -21,7 +21,7 @@ __all__ = ["InverseWishart", "LoopMixture", "loop_mixture"]
 
 
 class Triangles(Protocol):
-    """The part of a loop that a mixture needs: a tracked loop (`Loop`) and a predicted one (`PredictedLoop`) have it."""
+    """The part of a loop that a mixture needs: a tracked loop (`topokit.seqph.Loop`) has it."""
 
     @property
     def killer_triangles(self) -> NDArray[np.floating]: ...  # (2, 3, d)
@@ -198,7 +198,7 @@ def loop_mixture(loop: Triangles, noise: float = 1e-4, prior: InverseWishart | N
 
     Parameters
     ----------
-    loop : Loop or PredictedLoop
+    loop : Loop
     noise : float
         Variance added to the diagonal of every sample covariance, square metres. A triangle is flat: without the noise its
         covariance is singular and the Gaussian has no density. The default is 1 cm squared. A prior replaces the noise.

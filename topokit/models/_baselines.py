@@ -42,34 +42,21 @@ class Normalisation:
 class PredictiveModel(nn.Module, ABC):
     """A model from windows (the dict of tensors of `topokit.data.WindowDataset`, with a leading axis of B) to states.
 
-    It has three parts. `encode_frames` reads single frames, so that a frame of a stream is encoded once. `gather` puts the frames
-    of a history together, once for all plans. `decode` reads a plan of actions and returns the states of all steps.
-
-    Parameters
-    ----------
-    shape : Shape
-    normalisation : Normalisation
+    `encode` reads the history, once for all plans. `decode` reads a plan of actions and returns the states of all steps.
     """
 
     learns = True  # by gradient descent
-    inputs: tuple[str, ...] = ("clouds",)  # entries of a window that are read of each frame of its history
-    tracked = False  # whether `gather` also gets the states of a tracker
+    tracked = False  # whether it reads the grippers and the tracked states of a history, and not its clouds
 
     def __init__(self, shape: Shape, normalisation: Normalisation) -> None:
         super().__init__()
         self.shape = shape
         self.normalisation = normalisation
         self.options: dict[str, object] = {}
-        self.register_buffer("origin", torch.tensor(normalisation.origin), persistent=False)
-        self.origin: Tensor
-
-    def encode_frames(self, frames: Context) -> Context:
-        """Return what is kept of N frames, each alone, from the `inputs` of a window with a leading axis of N."""
-        return frames
 
     @abstractmethod
-    def gather(self, kept: Context, past: StateTensors | None) -> Context:
-        """Return the context of a forecast from encoded frames and tracked states, (B, history, ...), newest first."""
+    def encode(self, window: Window) -> Context:
+        """Return the context of a batch of windows, which does not depend on the plan."""
 
     @abstractmethod
     def decode(self, context: Context, actions: Tensor, held: Tensor) -> StateTensors:
@@ -78,26 +65,20 @@ class PredictiveModel(nn.Module, ABC):
         Parameters
         ----------
         context : dict of Tensor
-            Of `gather`, for B windows.
+            Of `encode`, for B windows.
         actions : (C, horizon, 2, 3)
             Planned targets of the grippers, metres. C is B, or any number when B is 1: one history under C plans.
         held : (C, horizon) bool
         """
 
-    def encode(self, window: Window) -> Context:
-        """Return the context of a batch of windows, which does not depend on the plan."""
-        frames = {name: window[name].flip(1) for name in self.inputs}
-        sizes = next(iter(frames.values())).shape[:2]
-        kept = self.encode_frames({name: part.flatten(0, 1) for name, part in frames.items()})
-        kept = {name: part.unflatten(0, sizes) for name, part in kept.items()}
-        past = None
-        if self.tracked:
-            past = StateTensors.from_past(window).map(lambda part: part.flip(1))
-        return self.gather(kept, past)
-
     def forward(self, window: Window) -> StateTensors:
         """Return the predicted states of a batch of windows."""
         return self.decode(self.encode(window), window["actions"], window["actions_held"])
+
+    @property
+    def origin(self) -> Tensor:
+        """Return the mean (3,) of the training's clouds, metres."""
+        return torch.tensor(self.normalisation.origin)
 
     def normalise(self, points: Tensor) -> Tensor:
         """Return coordinates in metres as multiples of the scale, about the origin."""
@@ -126,22 +107,21 @@ class Hold(PredictiveModel):
     """The forecast that each loop stays as at its last appearance; it is present if it was present at the last frame."""
 
     learns = False
-    inputs = ("grippers",)
     tracked = True
 
-    def gather(self, kept: Context, past: StateTensors | None) -> Context:
+    def encode(self, window: Window) -> Context:
         """Return each slot as it was last tracked, and the grippers then; one never tracked is between the present grippers."""
-        assert past is not None
-        present = past.presence > 0  # (B, h, slots), the newest frame first
+        past = StateTensors.from_past(window).map(lambda part: part.flip(1))  # (B, h, slots), the newest frame first
+        grippers = window["grippers"].flip(1)  # (B, h, 2, 3)
+        present = past.presence > 0  # (B, h, slots)
         known = present.any(dim=1)  # (B, slots)
         last = present.int().argmax(dim=1)  # (B, slots); 0 of one that was never tracked
         batch = torch.arange(len(last))[:, None]
-        slot = torch.arange(last.shape[1])
-        loops = past[batch, last, slot]  # (B, slots)
-        grippers = kept["grippers"][:, 0]
-        corners = torch.where(known[..., None, None], loops.corners, grippers.mean(dim=1)[:, None, None])
+        loops = past[batch, last, torch.arange(last.shape[1])]  # (B, slots)
+        now = grippers[:, 0]
+        corners = torch.where(known[..., None, None], loops.corners, now.mean(dim=1)[:, None, None])
         loops = loops.replace(corners=corners, presence=torch.where(present[:, 0], 6.0, -6.0))
-        return vars(loops) | {"known": known, "grippers": grippers, "grippers_then": kept["grippers"][batch, last]}
+        return vars(loops) | {"known": known, "grippers": now, "grippers_then": grippers[batch, last]}
 
     def decode(self, context: Context, actions: Tensor, held: Tensor) -> StateTensors:
         moved = self._moved(context, actions, held)  # (C, K, slots or 1, 3)

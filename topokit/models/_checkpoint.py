@@ -122,13 +122,10 @@ def load_model(path: str | Path) -> tuple[Model, dict[str, Any]]:
     try:
         shape = from_mapping(Shape, description["shape"], "shape")
         normalisation = from_mapping(Normalisation, description["normalisation"], "normalisation")
-        # A model on the "meta" device takes no memory, however large the description claims that it is. `load_state_dict`
-        # compares its tensors' names and shapes with those of the file, then puts the file's tensors in their places.
+        # A model on the "meta" device draws no weights; those of the file are put in their places.
         with torch.device("meta"):
             model = build(description["model"], shape, normalisation, description["options"])
         model.load_state_dict({name: tensor.float() for name, tensor in tensors.items()}, assign=True)
-        if isinstance(model, PredictiveModel):
-            model.origin = torch.tensor(normalisation.origin)  # not in the file: it is part of the description
     except (KeyError, TypeError, ValueError, RuntimeError) as error:
         reason = textwrap.shorten(str(error), 300)  # PyTorch lists every weight
         raise FormatError(f"{path}: describes no model that this topokit can build: {reason}") from error

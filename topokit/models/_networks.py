@@ -11,7 +11,7 @@ import torch
 from torch import Tensor, nn
 
 from ._baselines import Context, Normalisation, PredictiveModel, Shape
-from ._states import NUMBERS, StateTensors
+from ._states import NUMBERS, StateTensors, Window
 
 
 class MLP(PredictiveModel):
@@ -40,11 +40,13 @@ class MLP(PredictiveModel):
     def _frame_size(self) -> int:
         return 3 * self.first
 
-    def encode_frames(self, frames: Context) -> Context:
-        return {"frame": self.normalise(frames["clouds"][:, : self.first]).flatten(1)}
+    def frame_codes(self, clouds: Tensor) -> Tensor:
+        """Return the numbers (..., size) of clouds (..., P, 3), each alone."""
+        return self.normalise(clouds[..., : self.first, :]).flatten(-2)
 
-    def gather(self, kept: Context, past: StateTensors | None) -> Context:
-        return {"first": self.history_layer(kept["frame"].flatten(1))}
+    def encode(self, window: Window) -> Context:
+        codes = self.frame_codes(window["clouds"].flip(1))  # (B, h, size), the newest frame first
+        return {"first": self.history_layer(codes.flatten(1))}
 
     def decode(self, context: Context, actions: Tensor, held: Tensor) -> StateTensors:
         plan = torch.cat([self.normalise(actions).flatten(1), held.to(actions)], dim=1)
@@ -76,9 +78,8 @@ class PointNet(MLP):
     def _frame_size(self) -> int:
         return self.units[-1]
 
-    def encode_frames(self, frames: Context) -> Context:
-        codes = self.points(self.normalise(frames["clouds"]))  # (N, P, units)
-        return {"frame": codes.amax(dim=1)}
+    def frame_codes(self, clouds: Tensor) -> Tensor:
+        return self.points(self.normalise(clouds)).amax(dim=-2)
 
 
 def _layers(widths: Sequence[int]) -> list[nn.Module]:

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections import deque
-from collections.abc import Mapping, Sequence
+from collections.abc import Sequence
 from pathlib import Path
 from typing import Any
 
@@ -17,10 +17,10 @@ from topokit._validate import as_points
 from topokit.sampling import farthest_point_sample, inliers
 from topokit.seqph import Loop, SeqPH, TopologicalState, follow
 
-from ._checkpoint import Model, describe, load_model, save_tensors
+from ._checkpoint import Model, load_model
 from ._motion import KNOTS, PAST, Codes, Motion, world
 from ._scenes import carriers_first, flow, target_of
-from ._states import NOISE, TRIANGLES, StateTensors
+from ._states import NOISE, TRIANGLES, StateTensors, Window, past_of
 
 Array = NDArray[np.float32]
 
@@ -32,50 +32,38 @@ class Predictor:
     ----------
     model : PredictiveModel
         For a `Motion` use `Predictor.of`, which chooses a `MotionPredictor`.
-    description : mapping, optional
-        The description in the model's checkpoint.
     """
 
-    def __init__(self, model: Model, description: Mapping[str, Any] | None = None) -> None:
+    def __init__(self, model: Model) -> None:
         self.model: Any = model.eval()
-        self.description = dict(description or {})
+        self.description: dict[str, Any] = {}  #: the description in the model's checkpoint
         self.reset()
 
     @staticmethod
-    def of(model: Model, description: Mapping[str, Any] | None = None) -> Predictor:
-        """Return the predictor of a model: of a model of motion it is a `MotionPredictor`.
-
-        Parameters
-        ----------
-        model : PredictiveModel or Motion
-            The answer of `build`.
-        description : mapping, optional
-            The description in its checkpoint.
-        """
-        kind = MotionPredictor if isinstance(model, Motion) else Predictor
-        return kind(model, description)
+    def of(model: Model) -> Predictor:
+        """Return the predictor of a model that `build` made: of a model of motion it is a `MotionPredictor`."""
+        return MotionPredictor(model) if isinstance(model, Motion) else Predictor(model)
 
     @classmethod
     def load(cls, path: str | Path) -> Predictor:
         """Read a checkpoint; a model of motion gives a `MotionPredictor`."""
-        return cls.of(*load_model(path))
-
-    def save(self, path: str | Path) -> None:
-        """Write the model and its description to a checkpoint (.safetensors)."""
-        save_tensors(path, self.model.state_dict(), self.description | describe(self.model))
+        model, description = load_model(path)
+        predictor = cls.of(model)
+        predictor.description = description
+        return predictor
 
     def reset(self) -> None:
         """Forget everything observed."""
-        self._frames: deque[dict[str, Tensor]] = deque(maxlen=self.model.shape.history)
-        self._states: deque[TopologicalState] = deque(maxlen=self.model.shape.history)
+        history = self.model.shape.history
+        self._frames: deque[dict[str, NDArray[np.float64]]] = deque(maxlen=history)
+        self._states: deque[TopologicalState] = deque(maxlen=history)
         self._tracker = SeqPH()
         self._context: dict[str, Tensor] | None = None
 
-    @torch.inference_mode()
     def observe(
         self, points: ArrayLike, grippers: ArrayLike | None = None, held: bool = True, target: ArrayLike | None = None
     ) -> None:
-        """Take in the next frame, and encode it.
+        """Take in the next frame.
 
         Parameters
         ----------
@@ -94,17 +82,15 @@ class Predictor:
             When an array is not one of points, or the model needs the grippers.
         """
         cloud = as_points(points)
-        # Choose as many points as the model reads; repeat points when there are fewer.
-        n = self.model.shape.points
-        chosen = cloud
-        if len(cloud) > n:
-            chosen = cloud[farthest_point_sample(cloud, n, None)[0]]
-        frame = {"clouds": torch.from_numpy(np.resize(chosen, (1, n, 3)).astype(np.float32))}
-        if "grippers" in self.model.inputs:
-            frame["grippers"] = torch.from_numpy(as_grippers(grippers)).float()[None]
         if self.model.tracked:
+            self._frames.append({"grippers": as_grippers(grippers)})
             self._states.append(self._tracker.update(cloud))
-        self._frames.append(self.model.encode_frames({name: frame[name] for name in self.model.inputs}))
+        else:
+            # Choose as many points as the model reads; repeat points when there are fewer.
+            n = self.model.shape.points
+            if len(cloud) > n:
+                cloud = cloud[farthest_point_sample(cloud, n, None)[0]]
+            self._frames.append({"clouds": np.resize(cloud, (n, 3))})
         self._context = None
 
     @torch.inference_mode()
@@ -125,23 +111,21 @@ class Predictor:
         """
         chunks = self._plans(actions, held)
         if self._context is None:
-            self._context = self._encoded()
+            self._context = self.model.encode(self._window())
         parts = [vars(self.model.decode(self._context, *chunk)).values() for chunk in chunks]
         states = StateTensors(*(torch.cat(part) for part in zip(*parts, strict=True)))
         return states if np.ndim(actions) == 4 else states[0]
 
-    def _encoded(self) -> dict[str, Tensor]:
-        """Return the encoded history for `decode`, which serves all plans until the next frame."""
+    def _window(self) -> Window:
+        """Return the history as a batch of one window."""
         if not self._frames:
             raise ValueError("no frame has been observed yet: call observe first")
-        # Take the newest frame first; the oldest one also stands for the frames before it.
-        back = [max(len(self._frames) - 1 - frames, 0) for frames in range(self.model.shape.history)]
-        kept = {name: torch.stack([self._frames[i][name] for i in back], dim=1) for name in self._frames[0]}
-        past = None
+        missing = self.model.shape.history - len(self._frames)
+        frames = [self._frames[0]] * missing + list(self._frames)
+        window = {name: torch.tensor(np.stack([frame[name] for frame in frames])[None]).float() for name in frames[0]}
         if self.model.tracked:
-            past = StateTensors.from_tracks(self._states, self.model.shape.slots)[:, back]
-        context: dict[str, Tensor] = self.model.gather(kept, past)
-        return context
+            window |= past_of([self._states[0]] * missing + list(self._states), self.model.shape.slots)
+        return window
 
     def _plans(self, actions: ArrayLike, held: ArrayLike | None) -> list[tuple[Tensor, Tensor]]:
         """Return plans (C, 60, 2, 3) and holds (C, 60), 250 at once: for more, activations do not stay in the cache."""
@@ -167,8 +151,6 @@ class MotionPredictor(Predictor):
     Parameters
     ----------
     model : Motion
-    description : mapping, optional
-        The description in its checkpoint.
     """
 
     model: Motion
@@ -230,6 +212,7 @@ class MotionPredictor(Predictor):
         n_free = self.model.shape.slots - len(ids)
         states = states.map(lambda part: torch.cat([part, part.new_zeros(60, n_free, *part.shape[2:])], dim=1))
         states.presence[:, len(ids) :] = -20
+        states.noise[:, len(ids) :] = NOISE
         loops = list(self.loops)
         for step in sorted(exact):
             self._read_loops(states, step, loops, places[0, step - 1], scales[0, step - 1])

@@ -18,37 +18,17 @@ from typing import Any
 
 import numpy as np
 import torch
-from numpy.typing import NDArray
 from torch import Tensor
 from torch.distributions import Categorical, MixtureSameFamily, MultivariateNormal
 from torch.nn import functional
 
-from topokit.mixture import LoopMixture, loop_mixture, moments
+from topokit.mixture import LoopMixture, moments
 from topokit.seqph import TopologicalState
 
 TRIANGLES = ((0, 1, 2), (0, 1, 3), (0, 2, 4), (2, 1, 5), (0, 3, 6), (3, 1, 7))  # x y z1, x y z2, then the neighbours
 NUMBERS = 32  # numbers that describe a loop: 8 corners, 4 neighbour values, birth, lifetime, killer_shift, presence
 NOISE = 1e-4  # square metres; added to the covariances of a mixture's triangles when a forecast gives no other value
 Window = Mapping[str, Tensor]  # a batch of windows, as `topokit.data.WindowDataset` makes them
-
-
-@dataclass(frozen=True, eq=False)
-class PredictedLoop:
-    """A predicted loop, of which `topokit.loop_mixture` makes a mixture: a `topokit.Loop` without vertices in a cloud."""
-
-    slot: int  #: identity of the loop, the same over the whole forecast
-    presence: float  #: probability that the loop is present
-    birth: float  #: filtration value, metres
-    death: float  #: filtration value, metres
-    killer_triangles: NDArray[np.float32]  #: (2, 3, 3) metres, the thick triangle first
-    neighbours: NDArray[np.float32]  #: (m, 3, 3) metres, m <= 4
-    killer_values: NDArray[np.float32]  #: (2,)
-    neighbour_values: NDArray[np.float32]  #: (m,)
-    noise: float  #: noise of the mixture, square metres; larger where the place is less certain
-
-    def mixture(self) -> LoopMixture:
-        """Return the mixture of the loop's place, with the forecast's noise."""
-        return loop_mixture(self, self.noise)
 
 
 @dataclass(frozen=True, eq=False)
@@ -92,42 +72,6 @@ class StateTensors:
         names = ("triangles", "values", "birth", "death", "killer_shift", "present")
         return cls.from_labels({name: window[f"past_{name}"] for name in names})
 
-    @classmethod
-    def from_tracks(cls, states: Sequence[TopologicalState], slots: int) -> StateTensors:
-        """Return tracked states (1, h, slots); the slots are the loops with the longest lifetimes on the mean over frames.
-
-        Parameters
-        ----------
-        states : sequence of TopologicalState
-            Of h frames.
-        slots : int
-        """
-        total: defaultdict[int, float] = defaultdict(float)
-        for state in states:
-            for loop in state.loops:
-                total[loop.id] += loop.lifetime
-        longest = sorted(total, key=total.__getitem__, reverse=True)[:slots]
-
-        shape = (1, len(states), slots)
-        window = {name: torch.zeros(shape) for name in ("birth", "death", "killer_shift")}
-        window["triangles"] = torch.zeros(*shape, 6, 3, 3)
-        window["values"] = torch.zeros(*shape, 6)
-        window["present"] = torch.zeros(shape, dtype=torch.bool)
-        for frame, state in enumerate(states):
-            for loop in state.loops:
-                if loop.id not in longest:
-                    continue
-                place = (0, frame, longest.index(loop.id))
-                n = 2 + len(loop.neighbours)
-                triangles = np.concatenate([loop.killer_triangles, loop.neighbours])
-                values = np.concatenate([loop.killer_values, loop.neighbour_values])
-                window["triangles"][place][:n] = torch.from_numpy(triangles)
-                window["values"][place][:n] = torch.from_numpy(values)
-                for name in ("birth", "death", "killer_shift"):
-                    window[name][place] = getattr(loop, name)
-                window["present"][place] = True
-        return cls.from_labels(window)
-
     @property
     def lifetime(self) -> Tensor:
         """Return death - birth (B, K, S)."""
@@ -151,31 +95,21 @@ class StateTensors:
         shares = functional.one_hot(torch.tensor(TRIANGLES), 8).sum(dim=1).to(weights) / 3  # (6, 8)
         return ((weights @ shares)[..., None, :] @ self.corners)[..., 0, :]  # (B, K, S, 3)
 
-    def loops(self, step: int) -> tuple[PredictedLoop, ...]:
-        """Return the loops of a step of a single sequence that are more likely present than not, longest lifetime first.
+    def mixtures(self, step: int) -> dict[int, LoopMixture]:
+        """Return by slot the mixtures of the loops of a step that are more likely present than not, longest lifetime first.
 
-        Step 0 is the next frame.
+        The states are those of a single sequence. Step 0 is the next frame.
         """
-        now = self[step]
+        now = self[step].map(Tensor.double)
+        mixtures: Any = loop_mixtures(now.triangles, now.values, now.noise)
+        weights = mixtures.mixture_distribution.probs
+        components = mixtures.component_distribution
         order = now.lifetime.argsort(descending=True, stable=True).tolist()
-        return tuple(now._loop(slot) for slot in order if now.presence[slot] > 0)
-
-    def _loop(self, slot: int) -> PredictedLoop:
-        """Return the loop of a slot of a single state."""
-        triangles = self.triangles[slot].numpy()  # (6, 3, 3)
-        values = self.values[slot].numpy()
-        neighbours = values[2:] > 0
-        return PredictedLoop(
-            slot=slot,
-            presence=float(self.presence[slot].sigmoid()),
-            birth=float(self.birth[slot]),
-            death=float(self.death[slot]),
-            killer_triangles=triangles[:2],
-            neighbours=triangles[2:][neighbours],
-            killer_values=values[:2],
-            neighbour_values=values[2:][neighbours],
-            noise=float(self.noise[slot]),
-        )
+        return {
+            slot: LoopMixture(components.loc[slot], components.covariance_matrix[slot], weights[slot])
+            for slot in order
+            if now.presence[slot] > 0
+        }
 
     def reversed(self) -> StateTensors:
         """Return the same loops with the ends of their killer edges exchanged."""
@@ -196,19 +130,51 @@ class StateTensors:
         """Return a copy with every part changed alike."""
         return StateTensors(*(change(part) for part in vars(self).values()))
 
-    def slots(self, order: Tensor) -> StateTensors:
-        """Return the slots in another order (B, S) for every sequence."""
-
-        def reorder(part: Tensor) -> Tensor:
-            trailing = (1,) * (part.dim() - 3)
-            index = order.reshape(len(order), 1, -1, *trailing)  # (B, 1, S, 1 ...)
-            return part.take_along_dim(index, dim=2)
-
-        return self.map(reorder)
-
+    @torch.no_grad()
     def matched_to(self, predicted: StateTensors) -> StateTensors:
         """Return these target states with their slots in the order that fits a prediction best over all steps."""
-        return self.slots(match_slots(predicted, self))
+        present = (self.presence > 0).to(predicted.presence)[..., None, :]  # (B, K, 1, S)
+        distance = torch.cdist(predicted.mean, self.mean) / 0.1  # (B, K, predicted, target)
+        # The cross-entropy of the presence of every pair.
+        logit = predicted.presence[..., None]
+        entropy = functional.softplus(logit) - logit * present
+        cost = (distance.clamp_max(5.0) * present + entropy).mean(dim=1)  # (B, predicted, target)
+
+        # Take the cheapest of all orders.
+        slots = torch.arange(cost.shape[-1])
+        orders = torch.tensor(list(itertools.permutations(slots.tolist())))  # (S!, S)
+        best = orders[cost[:, slots, orders].sum(dim=-1).argmin(dim=-1)]  # (B, S)
+        sequence = torch.arange(len(best))[:, None, None]
+        step = torch.arange(self.birth.shape[1])[:, None]
+        return self.map(lambda part: part[sequence, step, best[:, None]])
+
+
+def past_of(states: Sequence[TopologicalState], slots: int) -> Window:
+    """Return tracked states as the entries `past_...` of a window, (1, h, slots, ...).
+
+    The slots are the loops with the longest lifetimes on the mean over the h frames.
+    """
+    total: defaultdict[int, float] = defaultdict(float)
+    for state in states:
+        for loop in state.loops:
+            total[loop.id] += loop.lifetime
+    longest = sorted(total, key=total.__getitem__, reverse=True)[:slots]
+
+    sizes = {"triangles": (6, 3, 3), "values": (6,), "birth": (), "death": (), "killer_shift": ()}
+    past = {name: torch.zeros(1, len(states), slots, *size) for name, size in sizes.items()}
+    past["present"] = torch.zeros(1, len(states), slots, dtype=torch.bool)
+    for frame, state in enumerate(states):
+        for loop in state.loops:
+            if loop.id not in longest:
+                continue
+            place = (0, frame, longest.index(loop.id))
+            n = 2 + len(loop.neighbours)
+            past["triangles"][place][:n] = torch.tensor(np.concatenate([loop.killer_triangles, loop.neighbours]))
+            past["values"][place][:n] = torch.tensor(np.concatenate([loop.killer_values, loop.neighbour_values]))
+            for name in ("birth", "death", "killer_shift"):
+                past[name][place] = getattr(loop, name)
+            past["present"][place] = True
+    return {f"past_{name}": part for name, part in past.items()}
 
 
 def corners_of(triangles: Tensor, values: Tensor) -> tuple[Tensor, Tensor]:
@@ -256,25 +222,20 @@ def forecast_loss(
     predicted: StateTensors,
     window: Window,
     *,
-    features: float = 1.0,
-    presence: float = 1.0,
     centre: float = 0.0,
     match: bool = False,
 ) -> tuple[Tensor, dict[str, Tensor]]:
     """Return the loss of a batch, and for the log the loss, its parts, and the mean distance of the mixtures' means in metres.
 
-    Lengths of 10 cm, and filtration values of 2 cm, count as one.
+    The *features* are the squared errors of corners, values, birth, death and killer shift of the present loops (the paper's L2).
+    The ends of a killer edge are taken in the order that fits better. Lengths of 10 cm, and filtration values of 2 cm, count as
+    one. Added to these is the binary cross-entropy of the *presence* of each slot.
 
     Parameters
     ----------
     predicted : StateTensors
     window : mapping of str to Tensor
         Batch with its labels.
-    features : float
-        Weight of the squared errors of corners, values, birth, death and killer shift of the present loops (the paper's L2). The
-        ends of a killer edge are taken in the order that fits better.
-    presence : float
-        Weight of the binary cross-entropy of the presence of each slot.
     centre : float
         Weight of the Huber loss of the distance of the mixtures' means, quadratic below 2 cm.
     match : bool
@@ -291,25 +252,9 @@ def forecast_loss(
         "presence": functional.binary_cross_entropy_with_logits(predicted.presence, present.to(predicted.presence)),
         "centre": _mean(off),
     }
-    total = features * parts["features"] + presence * parts["presence"] + centre * parts["centre"]
+    total = parts["features"] + parts["presence"] + centre * parts["centre"]
     logged = {"loss": total, **parts, "distance": _mean(distance)}
     return total, {name: part.detach() for name, part in logged.items()}
-
-
-@torch.no_grad()
-def match_slots(predicted: StateTensors, target: StateTensors) -> Tensor:
-    """Return the target slot (B, S) to compare each predicted slot with at all steps: the cheapest of all orders."""
-    present = (target.presence > 0).to(predicted.presence)  # (B, K, S)
-    distance = torch.cdist(predicted.mean, target.mean) / 0.1  # (B, K, predicted, target)
-    # The cross-entropy of the presence of every pair.
-    logit = predicted.presence[..., :, None]
-    entropy = functional.softplus(logit) - logit * present[..., None, :]
-    cost = (distance.clamp_max(5.0) * present[..., None, :] + entropy).mean(dim=1)  # (B, predicted, target)
-
-    slots = cost.shape[-1]
-    orders = torch.tensor(list(itertools.permutations(range(slots))), device=cost.device)  # (S!, S)
-    totals = cost[:, torch.arange(slots, device=cost.device), orders].sum(dim=-1)  # (B, S!)
-    return orders[totals.argmin(dim=-1)]  # (B, S)
 
 
 def _features_error(predicted: StateTensors, target: StateTensors) -> Tensor:
