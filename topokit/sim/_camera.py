@@ -45,18 +45,6 @@ class Camera:
         right /= np.linalg.norm(right)
         return np.array([right, np.cross(right, forward), forward])
 
-    def depths(self, buffer: ArrayLike) -> Array:
-        """Return the depths (h, w), in metres along the view, of a depth buffer; inf where nothing is seen.
-
-        Parameters
-        ----------
-        buffer : (h * w,) or (h, w) array_like
-            0 at `near` and 1 at `far`.
-        """
-        values = np.asarray(buffer, dtype=np.float64).reshape(self.height, self.width)
-        metres = self.near * self.far / (self.far - (self.far - self.near) * values)
-        return np.where(values < 1 - 1e-6, metres, np.inf)
-
     def add_noise(self, depth: Array, mask: Mask, rng: np.random.Generator) -> tuple[Array, Mask]:
         """Return a noisy copy of a depth image and of the mask of the cloth in it.
 
@@ -90,8 +78,7 @@ class Camera:
         """
         metres = np.asarray(depth, dtype=np.float64)
         rows, columns = np.nonzero(np.asarray(mask, dtype=bool))
-        # A point lies on the ray through its pixel. PyBullet's TinyRenderer samples a pixel at its left lower corner, not at its
-        # middle.
+        # PyBullet's TinyRenderer samples a pixel at its left lower corner, not at its middle.
         half = np.tan(np.radians(self.fov) / 2)
         x = (2 * columns / self.width - 1) * half * self.width / self.height
         y = (1 - 2 * (rows + 1) / self.height) * half
@@ -116,12 +103,9 @@ class Camera:
         noise : float
             The noise of every camera.
         """
-        middle = np.asarray(place, dtype=np.float64)
         azimuth = 2 * np.pi * np.arange(n) / n - np.pi / 2
-        elevation = np.radians(20)
-        x = np.cos(elevation) * np.cos(azimuth)
-        y = np.cos(elevation) * np.sin(azimuth)
-        z = np.full(n, np.sin(elevation))
-        eyes = middle + distance * np.column_stack([x, y, z])
-        target = tuple(middle.tolist())
-        return tuple(Camera(tuple(eye), target, noise=noise) for eye in eyes.tolist())
+        level = np.cos(np.radians(20))
+        rise = np.full(n, np.sin(np.radians(20)))
+        middle = np.asarray(place, dtype=np.float64)
+        eyes = middle + distance * np.column_stack([level * np.cos(azimuth), level * np.sin(azimuth), rise])
+        return tuple(Camera(tuple(eye), tuple(middle.tolist()), noise=noise) for eye in eyes.tolist())

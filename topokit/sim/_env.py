@@ -41,8 +41,7 @@ class HangEnv(gymnasium.Env[Observation, NDArray[np.float32]]):
 
     **Observation**: a dict of float32 arrays in metres, and of two whole numbers:
 
-    - `points` (n_points, 3): farthest-point samples of the garment's vertices, or points that the cameras see of it (while they
-      see no cloth, the last points they saw);
+    - `points` (n_points, 3): a farthest-point sample of the vertices, or of what cameras see (while they see no cloth, the last);
     - `grippers` (2, 3): where the grippers are;
     - `target` (K, 3): the target's centre line;
     - `rods` (R, 7): the shapes of the target and of its stand, as capsules: start, end, radius;
@@ -59,7 +58,7 @@ class HangEnv(gymnasium.Env[Observation, NDArray[np.float32]]):
     An episode **terminates** when the garment has been free for half a second and is at rest: with success if the task's
     loops are on the target, otherwise as dropped. It also terminates when the garment is torn, that is, stretched too far. It is
     **truncated** after `max_steps`. `info` holds `success`, `dropped`, `torn`, the share of loops that are `linked`, and their
-    `distance` from the seat. Wrappers of Gymnasium spoil what is observed, or done (`book/experiments/disturbances.py`).
+    `distance` from the seat.
 
     Parameters
     ----------
@@ -108,10 +107,10 @@ class HangEnv(gymnasium.Env[Observation, NDArray[np.float32]]):
         # The spaces of actions and of observations.
         self.action_space = spaces.Box(-1.0, 1.0, (7,), np.float32)
         self._wanted_loops = list(self.task.wanted(self.garment.named_loops).values())
-        n_wanted = len(self._wanted_loops)
         self._needed = self.task.needed(self.garment.named_loops)
+        n_wanted = len(self._wanted_loops)
         sizes = {"points": self.n_points, "grippers": 2, "target": len(self.target.centre_line), "wanted": n_wanted}
-        shapes = {**{name: (size, 3) for name, size in sizes.items()}, "rods": (len(self.target.rods), 7)}
+        shapes = {name: (size, 3) for name, size in sizes.items()} | {"rods": (len(self.target.rods), 7)}
         places = {name: spaces.Box(-_FARTHEST, _FARTHEST, shape, np.float32) for name, shape in shapes.items()}
         counts = {"needed": spaces.Discrete(n_wanted + 1), "held": spaces.Discrete(2)}
         self.observation_space = spaces.Dict({**places, **counts})
@@ -180,7 +179,7 @@ class HangEnv(gymnasium.Env[Observation, NDArray[np.float32]]):
         self.vertices = world.vertices()
         torn = False
         try:
-            check_stretch(self.garment, self.config, self.vertices, f"step {self._steps}")
+            check_stretch(self.garment, self.config, self.vertices, "")
         except SimulationError:
             torn = True
             self.vertices = before  # the last vertices that were not torn
@@ -216,11 +215,10 @@ class HangEnv(gymnasium.Env[Observation, NDArray[np.float32]]):
         """
         points, grippers, goals, held = (np.array(column) for column in zip(*self._record, strict=True))
         config = replace(self.config, frames=len(points))
+        observed = np.array([frame[farthest_point_sample(frame, self.n_points)[0]] for frame in points])
         recording = {
             "points": points.astype(np.float32),
-            "observed": np.array(
-                [frame[farthest_point_sample(frame, self.n_points, 0)[0]] for frame in points], np.float32
-            ),
+            "observed": observed.astype(np.float32),
             "grippers": grippers,
             "actions": goals.astype(np.float32),
             "held": held,

@@ -158,8 +158,7 @@ def record(run: Run) -> Recording:
 
 def record_afresh(run: Run, time_limit: float) -> Recording:
     """Simulate a run in a fresh process, which is stopped after `time_limit` seconds."""
-    answers = in_fresh_processes(record, [run], time_limit=time_limit)
-    ((_, recording),) = answers
+    ((_, recording),) = in_fresh_processes(record, [run], time_limit=time_limit)
     if isinstance(recording, RuntimeError):
         raise SimulationError(str(recording)) from recording
     if isinstance(recording, Exception):

@@ -222,13 +222,16 @@ class World(contextlib.AbstractContextManager["World"]):
 
         The first step must have been taken: before it the renderer draws the cloth in a wrong place.
         """
-        width = camera.width
-        height = camera.height
+        size = (camera.width, camera.height)
+        near = camera.near
+        far = camera.far
         view = self._p.computeViewMatrix(camera.eye, camera.target, camera.up)
-        projection = self._p.computeProjectionMatrixFOV(camera.fov, width / height, camera.near, camera.far)
-        options = {"renderer": self._p.ER_TINY_RENDERER, "shadow": 0}
-        _, _, _, buffer, bodies = self._bullet("getCameraImage", width, height, view, projection, **options)
-        depth = camera.depths(buffer)
+        projection = self._p.computeProjectionMatrixFOV(camera.fov, camera.width / camera.height, near, far)
+        image = self._bullet("getCameraImage", *size, view, projection, renderer=self._p.ER_TINY_RENDERER, shadow=0)
+        _, _, _, buffer, bodies = image
+        # The buffer is 0 at `near` and 1 at `far`.
+        values = np.array(buffer, np.float64).reshape(size[::-1])
+        depth = np.where(values < 1 - 1e-6, near * far / (far - (far - near) * values), np.inf)
         return depth, (np.reshape(bodies, depth.shape) == self._cloth) & np.isfinite(depth)
 
     def observe(self, cameras: Sequence[Camera], n: int, rng: np.random.Generator) -> Array:
