@@ -74,17 +74,17 @@ class Garment:
         cls,
         mesh: str | Path | trimesh.Trimesh,
         *,
-        up: Literal["x", "y", "z", "-x", "-y", "-z"] | None = None,
+        up: Literal["x", "y", "z", "-x", "-y", "-z"],
+        grips: ArrayLike,
         size: float | None = None,
         unit: float | None = None,
         loops: Literal["auto"] | Mapping[str, str | ArrayLike] = "auto",
-        grips: ArrayLike | None = None,
         name: str | None = None,
     ) -> Garment:
         """Return the garment of a mesh file (OBJ, PLY, STL, ...), or of a mesh of trimesh.
 
-        Vertices at one place become one. What a mesh does not say is asked for: when an argument is missing, the error lists
-        its candidates, and appendix C draws them. The mesh should have some hundred vertices, about equally far apart.
+        Vertices at one place become one. What a mesh does not say are arguments; appendix C draws the candidates. The mesh should
+        have some hundred vertices, about equally far apart.
 
         Parameters
         ----------
@@ -92,27 +92,27 @@ class Garment:
             One piece of cloth. Vertex ids are those of the mesh, or of `trimesh.load_mesh` for a file.
         up : {"x", "y", "z", "-x", "-y", "-z"}
             The axis of the mesh that points up.
+        grips : (2,) array_like of int
+            Ids of the vertices to hold; the garment is turned so that the first is on the left.
         size, unit : float
             One of the two: the largest extent that the garment shall have, metres; or the metres in a unit of the mesh.
         loops : "auto" or mapping of str to (L,) array_like of int or to str
             True loops by their names ("neck"), the one to hang the garment by first: closed cycles of vertex ids, or names of
             loops of `find_loops` ("loop 2"). "auto" takes all of these.
-        grips : (2,) array_like of int
-            Ids of the vertices to hold; the garment is turned so that the first is on the left.
         name : str, optional
             The name of the file when not given.
 
         Raises
         ------
         TypeError
-            When `up`, `grips`, or both `size` and `unit` are missing.
+            When `size` and `unit` are missing.
         ValueError
             When the mesh is no garment, or a loop is no closed cycle along its edges.
         """
         surface = Surface(mesh)
         scale = unit if size is None else size / float(np.ptp(surface.vertices[surface.used], axis=0).max())
-        if up is None or scale is None or grips is None:
-            raise TypeError(surface.question({"up": up, "size or unit": scale, "grips": grips}))
+        if scale is None:
+            raise TypeError("a mesh does not say how large it is: give its size or its unit in metres")
         held = surface.numbers(grips, "grips")
         cycles = surface.loops()
         if loops != "auto":

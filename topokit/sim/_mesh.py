@@ -1,8 +1,7 @@
-"""Meshes of others: trimesh reads them; their loops are found here, and what a file does not say is asked for."""
+"""Meshes of others: trimesh reads them, and their loops are found here."""
 
 from __future__ import annotations
 
-from collections.abc import Mapping
 from pathlib import Path
 from typing import TYPE_CHECKING
 
@@ -68,18 +67,6 @@ class Surface:
             walk = [vertex for path in paths for vertex in path[:-1]]
             cycles.append(np.array(max(simple_cycles(walk), key=len)))
         return cycles
-
-    def question(self, arguments: Mapping[str, object]) -> str:
-        """Return a sentence with the candidates of those arguments of `Garment.from_mesh` that are None."""
-        x, y, z = np.ptp(self.vertices[self.used], axis=0)
-        some = {name: loop[:: -(-len(loop) // 4)].tolist() for name, loop in self.loops().items()}
-        candidates = {
-            "up": "the axis of the mesh that points up: x, y, z, -x, -y or -z",
-            "size or unit": f"its largest extent, or its unit, in metres; it is {x:g} by {y:g} by {z:g} units",
-            "grips": f"the ids of two vertices; some that lie around its loops are {some}",
-        }
-        missing = [f"{name} ({candidates[name]})" for name, value in arguments.items() if value is None]
-        return f"a mesh does not say these: give {'; '.join(missing)}"
 
 
 def held_upright(vertices: Array, up: str, grips: Ids) -> Array:

@@ -73,10 +73,7 @@ def apron(
     if loops == 2:
         demand(waist_strap_width + spacing <= body_height, "waist_strap_width is too wide for body_height")
         side = polyline((half_body, hem), (half_body, waist - waist_strap_width), (half_body, waist))
-    # The outline runs up the right side, over the strap, down the left side and back along the hem.
-    left = [mirror(line) for line in [armhole, *side[::-1]]]
-    outline = [*side, armhole, outer, *left, *polyline((-half_body, hem), (half_body, hem))]
-    front = cut(outline, [opening], spacing, [middle])
+    front = cut(_symmetric([*side, armhole], [outer]), [opening], spacing, [middle])
     grips = front.nearest(arch.points([1 / 3, 2 / 3]))
     if loops == 1:
         return Garment("apron", front.vertices, front.faces, front.holes, grips, sizes, ("neck",))
@@ -158,8 +155,6 @@ def vest(
 def _tunic(name: str, sizes: Sizes, right: list[Array], seams: Sequence[int], grip: float) -> Garment:
     """Return a front and a back of the same right half, drawn from the hem to the neck, joined along its `seams`."""
     neck = sizes["neck_width"] / 2
-    hem = sizes["length"]
-    half_width = right[0][0, 0]
     k = len(right)  # the side of the collar; the mirrored sides follow it
     angle = np.pi * np.linspace(0, 1, 181)
     joined = [*seams, *(2 * k - i for i in seams)]
@@ -167,8 +162,7 @@ def _tunic(name: str, sizes: Sizes, right: list[Array], seams: Sequence[int], gr
     panels = []
     for dip in (sizes["neck_depth"], sizes["neck_depth"] / 3):
         collar = np.column_stack([neck * np.cos(angle), -dip * np.sin(angle)])
-        outline = [*right, collar, *(mirror(line) for line in right[::-1])]
-        panel = cut([*outline, *polyline((-half_width, -hem), (half_width, -hem))], [], sizes["spacing"])
+        panel = cut(_symmetric(right, [collar]), [], sizes["spacing"])
         panels.append(inflate(panel, joined, sizes["depth"] / 2))
     front = panels[0]
     back = panels[1].mirrored()
@@ -369,11 +363,8 @@ def backpack(
     hole = [to_the_right(line) for line in hole]
     middle = to_the_right(middle)
     right = [*polyline((half, low), (half, rim), outer[0]), outer, *polyline(outer[-1], (half, 0))]
-    top = polyline((half, 0), (-half, 0))
-    bottom = polyline((-half, low), (half, low))
-    outline = [*right, *top, *(mirror(line) for line in right[::-1]), *bottom]
-    holes = [hole, [mirror(line) for line in hole]]
-    back = cut(outline, holes, spacing, [middle, mirror(middle)])
+    outline = _symmetric(right, polyline((half, 0), (-half, 0)))
+    back = cut(outline, [hole, [mirror(line) for line in hole]], spacing, [middle, mirror(middle)])
     held = to_the_right(arch.points([0.6]))
     grips = back.nearest(np.concatenate([held * [-1, 1], held]))
     back = back.placed(lambda v: _folded(v, half, np.radians(strap_angle)))
@@ -473,6 +464,12 @@ def belt(
     panel = cut([*strap, around, *back], [circle(0, 0, loop_radius)], spacing)
     held = (loop_radius + loop_width / 2) * np.array([[-0.5, 0.75**0.5], [0.5, 0.75**0.5]])
     return Garment("belt", panel.vertices, panel.faces, panel.holes, panel.nearest(held), sizes, ("loop",))
+
+
+def _symmetric(right: list[Array], top: list[Array]) -> list[Array]:
+    """Return an outline that runs up the right side, over the top, down the left side and straight back along the hem."""
+    left = [mirror(line) for line in right[::-1]]
+    return [*right, *top, *left, *polyline(left[-1][-1], right[0][0])]
 
 
 def _sizes(given: Mapping[str, Any], *left_out: str) -> Sizes:
