@@ -1,7 +1,6 @@
 """Checks that turn bad input into an error that says what was wrong, where, and what to do."""
 
 from collections.abc import Sequence
-from numbers import Real
 from typing import Any
 
 import numpy as np
@@ -20,8 +19,11 @@ def as_reals(values: Any, name: str) -> NDArray[Any]:
     if np.ma.is_masked(values):
         raise ValueError(f"{name} has masked entries: leave them out, or give {name}.filled(value)")
     array = np.asarray(values)
+    if array.dtype == object:  # numbers that may be missing, as of pandas
+        array = np.array(array.tolist())
     if array.dtype.kind not in "biuf":
-        raise WrongKindError(f"{name} must hold real numbers, not {array.dtype}")
+        held = next((f"; give {name}.{part}" for part in ("vertices", "points") if hasattr(values, part)), "")
+        raise WrongKindError(f"{name} must hold real numbers, not {array.dtype}{held}")
     return array
 
 
@@ -44,6 +46,10 @@ def as_points(points: ArrayLike, name: str = "points", *, copy: bool = False) ->
         problem = f"{(~finite).sum()} of {n} points with a NaN or infinite coordinate, the first at row {row}"
         cure = "drop them first, for example points[np.isfinite(points).all(axis=1)]"
         raise ValueError(f"{name} has {problem}: {array[row].tolist()}; {cure}")
+    largest = np.abs(array).max(initial=0.0)
+    if largest > 1e150 or 0 < largest < 1e-150:
+        unit = "take another unit, as squares of lengths are computed"
+        raise ValueError(f"the largest coordinate of {name} is {largest:.3g}: {unit}")
     return array
 
 
@@ -58,16 +64,17 @@ def as_sequence(sequence: ArrayLike | Sequence[ArrayLike], name: str = "sequence
     return clouds
 
 
-def _check_number(value: Any, name: str, kind: str) -> None:
-    """Raise an error unless a value is a real number of Python or NumPy; a truth value is none."""
-    if not isinstance(value, Real) or isinstance(value, bool):
+def as_number(value: Any, name: str, kind: str = "number") -> Any:
+    """Return a number, an array or a tensor of one, as a number of Python; truth values and times with a unit are no numbers."""
+    array = np.asarray(value)
+    if array.ndim or array.dtype.kind not in "iuf":
         raise WrongKindError(f"{name} must be a {kind}, not {value!r}")
+    return array.item()
 
 
 def positive(value: float, name: str, *, zero: bool = True, infinite: bool = False) -> float:
     """Return `value` as a float, or raise an error unless it is a (finite) number that is not negative."""
-    _check_number(value, name, "number")
-    number = float(value)
+    number = float(as_number(value, name))
     if not number >= 0 or (number == 0 and not zero) or (np.isinf(number) and not infinite):
         bound = "zero or more" if zero else "more than zero"
         raise ValueError(f"{name} must be {bound}{'' if infinite else ' and finite'}, not {value!r}")
@@ -76,11 +83,11 @@ def positive(value: float, name: str, *, zero: bool = True, infinite: bool = Fal
 
 def whole(value: Any, name: str, low: int = 0, high: float = float("inf")) -> int:
     """Return `value` as an int, or raise an error unless it is a whole number from `low` to `high`."""
-    _check_number(value, name, "whole number")
-    if not low <= value <= high or value % 1 != 0:
+    number = as_number(value, name, "whole number")
+    if not low <= number <= high or number % 1 != 0:
         bound = f"{low} or more" if high == float("inf") else f"{low} to {high}"
         raise ValueError(f"{name} must be {bound}, a whole number, not {value!r}")
-    return int(value)
+    return int(number)
 
 
 def as_ids(values: object, name: str, n_vertices: int) -> Ids:

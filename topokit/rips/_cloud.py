@@ -26,9 +26,7 @@ class Cloud:
         if metric not in ("euclidean", "precomputed"):
             raise ValueError(f'metric must be "euclidean" or "precomputed", not {metric!r}')
         if metric == "precomputed":
-            matrix = as_reals(points, "points").astype(np.float64)
-            _check_distances(matrix)
-            return cls(matrix, True)
+            return cls(_as_distances(points), True)
         cloud = as_points(points, copy=True)
         if len(cloud) == cloud.shape[1] > 3 and not np.diag(cloud).any() and (cloud == cloud.T).all():
             question = (
@@ -41,11 +39,6 @@ class Cloud:
     def of_points(cls, points: Array) -> Cloud:
         """Take coordinates that `as_points` has copied."""
         n, d = points.shape
-        largest = np.abs(points).max(initial=0.0)
-        if largest > 1e150 or 0 < largest < 1e-150:
-            raise ValueError(
-                f"the largest coordinate is {largest:.3g}: take another unit, as squares of lengths are computed"
-            )
         if d > 3:
             check_memory(n, is_matrix=True)
             from scipy.spatial.distance import pdist, squareform  # SciPy takes a while to import
@@ -94,15 +87,27 @@ def check_memory(n: int, *, is_matrix: bool) -> None:
         )
 
 
-def _check_distances(matrix: Array) -> None:
-    """Raise ValueError when the matrix cannot be one of distances; the message names the entry."""
+def _as_distances(points: ArrayLike) -> Array:
+    """Return a symmetric matrix with a zero diagonal, or raise ValueError, which names the entry, when it is not near one.
+
+    Distances by scalar products are inexact. So squares may be off by 1e-10 of the largest one, by 1e-5 in single precision.
+    """
+    given = as_reals(points, "points")
+    rounding = 1e-5 if given.dtype.kind == "f" and given.dtype.itemsize < 8 else 1e-10
+    matrix = given.astype(np.float64)
     if matrix.ndim != 2 or matrix.shape[0] != matrix.shape[1]:
         raise ValueError(f"the matrix of distances must be square, not of shape {matrix.shape}")
+    finite = np.where(np.isfinite(matrix), matrix, 0)
+    share = finite / (np.abs(finite).max(initial=0.0) or 1.0)
+    squared = share * np.abs(share)
     for wrong, what in (
-        (~(np.isfinite(matrix) & (matrix >= 0)), "no finite number of zero or more"),
-        (matrix != matrix.T, "not symmetric"),
-        (np.diag(np.diag(matrix) != 0), "not zero on the diagonal"),
+        (~np.isfinite(matrix) | (squared < -rounding), "no finite number of zero or more"),
+        (abs(squared - squared.T) > rounding, "not symmetric"),
+        (np.diag(np.diag(squared) > rounding), "not zero on the diagonal"),
     ):
         if wrong.any():
             i, j = np.argwhere(wrong)[0].tolist()
             raise ValueError(f"the matrix of distances is {what} at [{i}, {j}]: {matrix[i, j]}")
+    matrix = np.maximum(matrix + matrix.T, 0) / 2
+    np.fill_diagonal(matrix, 0)
+    return matrix

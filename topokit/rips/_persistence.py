@@ -31,7 +31,8 @@ def rips_persistence(
     Parameters
     ----------
     points : (n, d) array_like
-        Coordinates, or with ``metric="precomputed"`` the (n, n) symmetric matrix of distances.
+        Coordinates, or with ``metric="precomputed"`` the (n, n) symmetric matrix of distances. One that
+        differs from a symmetric one, or from zero on its diagonal, by rounding is made so.
     max_radius : float
         Radius at which the filtration stops; loops that are still alive then get death inf.
     min_lifetime : float

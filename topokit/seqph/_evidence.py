@@ -34,6 +34,8 @@ class EvidenceRule:
     #: birth, in spacings, from which the cycle of a bar crosses gaps of another kind than those between points
     wide: float = 3.0
     open: float = 2.0  #: death / birth of a loop across gaps twice as wide as that
+    #: radius, in deaths, of the part of a large scene whose points count for a bar
+    reach: float = 8.0
     bars: int = 100  #: number of bars; the noise of fewer is not known
     #: unevenness of points of a grid, whose bars are so short that they are no measure of noise
     grid: float = 1.3
@@ -52,7 +54,8 @@ class EvidenceRule:
 
         It is 1.1 lifetime / spacing * log(death / birth)^0.3 * (1000 / n)^p, whatever the unit of length. Points strewn at
         random leave wide gaps, in a small sample as in a large one: for them the spacing counts 1.3 times, and p is 0.3
-        instead of 3/4.
+        instead of 3/4. Of the n points, those beyond 1,000 count only as far as a sheet has them within 8 deaths of the bar:
+        a denser cloud resolves more bays of cloth, but a larger scene does not make its loops less certain.
 
         A birth far above the spacing shows that the cycle crosses gaps, between objects or where points are sparse. The
         spacing of the cloud says nothing about such a bar: it is a loop when it dies at twice its birth, as a hexagon nearly
@@ -64,7 +67,9 @@ class EvidenceRule:
         spacing = frame.spacing * max(frame.unevenness / 2, 1.0)
         with np.errstate(divide="ignore"):  # points that coincide are born at 0
             ratio = np.log(death / birth)
-        strength = 1.1 * (death - birth) / spacing * ratio**0.3 * (1000 / max(frame.tree.n, 128)) ** power
+        nearby = 5 * (self.reach * death / frame.spacing) ** 2  # the spacing is the radius of five points of a sheet
+        n = np.clip(frame.tree.n, 128, np.maximum(nearby, 1000))
+        strength = 1.1 * (death - birth) / spacing * ratio**0.3 * (1000 / n) ** power
 
         # From 3 to 6 spacings the first measure gives way to the second.
         share = np.clip(birth / (self.wide * frame.spacing) - 1, 0, 1)

@@ -20,7 +20,7 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 from numpy.typing import ArrayLike
 
-from topokit._validate import Array, as_sequence, positive, whole
+from topokit._validate import Array, as_number, as_sequence, positive, whole
 from topokit.linking import curve_centroid
 from topokit.rips import Diagram, rips_persistence, rips_persistence_many
 from topokit.sampling import as_tree, hausdorff
@@ -394,7 +394,7 @@ def check_frame(number: int, cloud: Array, time: float | None, before: float, di
 
 def check_time(number: int, time: float | None, before: float) -> float:
     """Return the time of a frame, its number when it has none, or raise ValueError unless it is later than the one before."""
-    seconds = float(number if time is None else time)
+    seconds = float(number if time is None else as_number(time, "time", "number of seconds"))
     if not seconds > before:
         reason = f"its time {seconds:g} s is not later than the time {before:g} s of the frame before"
         raise ValueError(f"frame {number} cannot follow: {reason}; sort the frames by time and drop repeated ones")

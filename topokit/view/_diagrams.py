@@ -79,7 +79,7 @@ def plot_diagram(diagram: Diagram | TopologicalState, ax: Axes | None = None, *,
         axes.plot(birth, height, marker, color=colour, markeredgecolor="white", mew=0.4, **style)
         if name and death - birth >= longest / 2:
             axes.annotate(name, (birth, death), xytext=(8, 0), textcoords="offset points", va="center")
-    axes.set(xlabel="birth (m)", ylabel="death (m)", xlim=(0, high), ylim=(0, high), aspect="equal")
+    axes.set(xlabel="birth", ylabel="death", xlim=(0, high), ylim=(0, high), aspect="equal")
     return axes
 
 
@@ -99,7 +99,7 @@ def plot_tracks(states: Sequence[TopologicalState], ax: Axes | None = None) -> A
     table = lifetimes(states)
     for loop_id in sorted(table, key=lambda i: i in named):
         _draw_track(axes, times, table[loop_id], loop_id, bold=loop_id in named)
-    axes.set(xlabel="time (s)", ylabel="lifetime (m)")
+    axes.set(xlabel="time", ylabel="lifetime")
     axes.set_ylim(0.0, 1.25 * max((np.nanmax(v) for v in table.values()), default=0.8))
     return axes
 

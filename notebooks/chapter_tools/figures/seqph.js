@@ -19,6 +19,7 @@ function seqphKernel({ persistence }, assign) {
   const NEIGHBOURS = 5;
   const WIDE = 3; // birth, in spacings, from which the cycle of a bar crosses gaps of another kind than those between points
   const OPEN = 2; // death / birth of a loop across gaps twice as wide as that
+  const REACH = 8; // radius, in deaths, of the part of a large scene whose points count for a bar
   const BARS = 100; // bars; the noise of fewer is not known
   const GRID = 1.3; // unevenness of points of a grid, whose bars are so short that they are no measure of noise
   const QUIET = 0.72; // least significance of a loop in a cloud without noise
@@ -73,7 +74,9 @@ function seqphKernel({ persistence }, assign) {
     const strewn = Math.min(Math.max((unevenness - 2.1) / 0.3, 0), 1);
     const gap = spacing * Math.max(unevenness / 2, 1);
     const ratio = Math.log(death / birth);
-    const strength = ((1.1 * (death - birth)) / gap) * ratio ** 0.3 * (1000 / Math.max(size, 128)) ** (0.75 - 0.45 * strewn);
+    const nearby = 5 * ((REACH * death) / spacing) ** 2; // the spacing is the radius of five points of a sheet
+    const n = Math.max(128, Math.min(size, Math.max(nearby, 1000)));
+    const strength = ((1.1 * (death - birth)) / gap) * ratio ** 0.3 * (1000 / n) ** (0.75 - 0.45 * strewn);
     const wide = Math.min(Math.max(birth / (WIDE * spacing) - 1, 0), 1); // the share of a cycle's own gaps in the measure
     return strength ** (1 - wide) * Math.min(strength, ratio / Math.log(OPEN)) ** wide;
   }
