@@ -7,7 +7,8 @@ import pytest
 
 import topokit as tk
 from topokit.evaluate import Overlap, score
-from topokit.io import load_episode
+from topokit.io import load_episode, load_states, save_episode, save_states
+from topokit.lemmas import beta_all, beta_critical, verify_step
 
 TURN = np.linspace(0, 2 * np.pi, 40, endpoint=False)
 RING = np.column_stack([0.2 * np.cos(TURN), 0.2 * np.sin(TURN), np.ones(40)])
@@ -93,3 +94,162 @@ def test_a_controller_keeps_no_buffer_of_its_caller(episode_path):
             fresh.reset(new | rest)
             reused.reset(buffers | rest)
         assert np.array_equal(fresh.act(new | rest), reused.act(buffers | rest))
+
+
+# -- numbers of other kinds -------------------------------------------------------------------------------------------------
+
+
+@pytest.mark.parametrize(
+    "wrong", [np.timedelta64(5, "ns"), np.datetime64("2024-01-01"), True, np.bool_(True), "1", [1.0]]
+)
+@pytest.mark.parametrize(
+    "call",
+    [
+        lambda number: tk.SeqPH(alpha=number),
+        lambda number: tk.SeqPH(epsilon=number),
+        lambda number: tk.SeqPH(memory=number),
+        lambda number: tk.SeqPH().update(RING, time=number),
+        lambda number: tk.SeqPH().skip(time=number),
+        lambda number: tk.track([RING] * 2, times=[0.0, number]),
+        lambda number: tk.rips_persistence(RING, max_radius=number),
+        lambda number: tk.rips_persistence(RING, min_lifetime=number),
+        lambda number: tk.farthest_point_sample(RING, number),
+        lambda number: tk.loop_mixture(tk.track([RING])[0].loops[0], noise=number),
+        lambda number: beta_all(RING, number),
+        lambda number: beta_critical(RING, 0.1, number),
+    ],
+)
+def test_what_is_no_plain_number_is_none(call, wrong):
+    with pytest.raises(TypeError):
+        call(wrong)
+
+
+def test_an_array_or_a_tensor_of_one_number_is_that_number():
+    torch = pytest.importorskip("torch")
+    for one in (np.array(1.0), np.float32(1), np.int64(1), torch.tensor(1.0)):
+        assert tk.SeqPH(alpha=one).alpha == 1.0
+        assert tk.SeqPH().update(RING, time=one).time == 1.0
+
+
+def test_columns_of_pandas_that_may_be_missing_are_numbers():
+    pandas = pytest.importorskip("pandas")
+    table = pandas.DataFrame(RING).convert_dtypes()
+    np.testing.assert_array_equal(tk.rips_persistence(table.to_numpy(object)).death, tk.rips_persistence(RING).death)
+    table.iloc[3, 1] = pandas.NA
+    with pytest.raises(TypeError, match="object"):
+        tk.rips_persistence(table.to_numpy(object))
+
+
+@pytest.mark.parametrize("part", ["vertices", "points"])
+def test_the_points_of_a_mesh_are_asked_for(part):
+    mesh = type("Mesh", (), {part: RING})()
+    with pytest.raises(TypeError, match=part):
+        tk.rips_persistence(mesh)
+
+
+@pytest.mark.parametrize("size", [1e200, 1e-200])
+@pytest.mark.parametrize(
+    "call",
+    [
+        tk.rips_persistence,
+        tk.SeqPH().update,
+        lambda cloud: verify_step(cloud, range(40), cloud, range(40)),
+        lambda cloud: beta_all(cloud, 0.1),
+    ],
+)
+def test_coordinates_whose_squares_are_no_numbers_are_refused(call, size):
+    with pytest.raises(ValueError, match="unit"):
+        call(size * RING)
+
+
+def by_scalar_products(points):
+    squares = (points**2).sum(axis=1)
+    return np.sqrt(np.maximum(squares[:, None] + squares - 2 * points @ points.T, 0))
+
+
+@pytest.mark.parametrize("kind", ["f4", "f8"])
+@pytest.mark.parametrize("off", [0, 3])
+def test_distances_that_are_symmetric_up_to_rounding_are_made_so(kind, off):
+    points = (off + np.random.default_rng(0).normal(size=(80, 3))).astype(kind)
+    matrix = by_scalar_products(points)
+    matrix[3, 7] *= 1 + 4 * np.finfo(kind).eps  # whatever the products of this machine
+    symmetric = (matrix.astype(float) + matrix.T) / 2
+    np.fill_diagonal(symmetric, 0)
+    expected = tk.rips_persistence(symmetric, metric="precomputed")
+    found = tk.rips_persistence(matrix, metric="precomputed")
+    np.testing.assert_allclose(np.sort(found.death)[-3:], np.sort(expected.death)[-3:], rtol=1e-6)
+
+
+def test_correlations_are_distances_from_one():
+    series = np.random.default_rng(0).normal(size=(40, 100))
+    assert len(tk.rips_persistence(1 - np.corrcoef(np.vstack([series, series])), metric="precomputed"))
+
+
+@pytest.mark.parametrize(
+    ("i", "j", "value", "named"),
+    [
+        (0, 0, np.inf, r"\[0, 0\]: inf"),
+        (0, 1, 2.0, "symmetric"),
+        (2, 2, 0.1, "diagonal"),
+        (1, 2, -0.1, "-0.1"),
+        (0, 2, np.nan, "nan"),
+    ],
+)
+def test_a_matrix_that_is_none_of_distances_is_refused_by_its_entry(i, j, value, named):
+    matrix = np.ones((4, 4)) - np.eye(4)
+    matrix[i, j] = value
+    with pytest.raises(ValueError, match=named):
+        tk.rips_persistence(matrix, metric="precomputed")
+
+
+# -- frames in which nothing was seen, and gaps in time ----------------------------------------------------------------------
+
+
+@pytest.mark.parametrize("nothing", [None, [], np.empty((0, 3)), np.empty((0, 2))])
+def test_in_an_empty_frame_nothing_was_seen(nothing):
+    film = [RING, nothing, RING]
+    tracker = tk.SeqPH()
+    one_by_one = [tracker.update(cloud) for cloud in film]
+    tracker = tk.SeqPH()
+    skipped = [tracker.update(RING), tracker.skip(), tracker.update(RING)]
+    for states in (tk.track(film), one_by_one, list(tk.SeqPH().stream(film))):
+        assert [[loop.id for loop in state] for state in states] == [[0], [], [0]]
+        assert [state.time for state in states] == [state.time for state in skipped]
+
+
+@pytest.mark.parametrize(
+    ("gap", "memory", "kept"),
+    [(1, 0, True), (2, 0, False), (2, 1, True), (498, 1, False), (40, 40, True), (498, 40, False)],
+)
+def test_a_gap_in_time_counts_as_the_frames_that_it_would_hold(gap, memory, kept):
+    times = np.append(np.arange(5), 4 + gap) / 30
+    states = tk.track([RING] * 6, times=times, memory=memory)
+    assert [state.loops[0].id for state in states] == [0] * 5 + [0 if kept else 1]
+
+
+@pytest.mark.parametrize("jitter", [0.0, 0.03])
+def test_loops_are_found_however_many_there_are(jitter):
+    """A scene that grows at equal density loses none of its loops; those between four rings are loops too."""
+    rng = np.random.default_rng(0)
+    ring = np.column_stack([np.cos(TURN), np.sin(TURN)])[:-1]
+    for side in (1, 4, 8, 10, 14):
+        corners = 3 * np.stack(np.meshgrid(range(side), range(side)), axis=-1).reshape(-1, 1, 2)
+        cloud = (ring + corners).reshape(-1, 2)
+        loops = tk.track([cloud + jitter * rng.normal(size=cloud.shape)])[0].loops
+        centres = np.array([loop.centre for loop in loops])
+        distances = np.linalg.norm(centres - corners, axis=-1).min(axis=1)
+        assert (distances < 0.5).all(), side
+
+
+# -- paths ------------------------------------------------------------------------------------------------------------------
+
+
+def test_a_tilde_is_the_home_folder(tmp_path, monkeypatch, episode_path):
+    monkeypatch.setenv("HOME", str(tmp_path / "home"))
+    monkeypatch.chdir(tmp_path)
+    states = tk.track([RING])
+    save_states("~/a/tracks.npz", states)
+    save_episode("~/b/film.npz", load_episode(episode_path))
+    assert len(load_states("~/a/tracks.npz", [RING])) == 1
+    assert len(load_episode("~/b/film.npz").points)
+    assert not (tmp_path / "~").exists()

@@ -125,10 +125,59 @@ def test_depth_images_by_a_pinhole(tmp_path):
     np.testing.assert_allclose(clouds(tmp_path / "0.png")[0], expected, atol=1e-9)
     np.save(tmp_path / "a.npy", depth / 1000)
     np.testing.assert_allclose(clouds(tmp_path / "a.npy", layout="depth")[0], expected, atol=1e-9)
-    scaled = clouds(tmp_path / "a.npy", layout="depth", intrinsics={**LENS, "depth_scale": 2.0})[0]
-    np.testing.assert_allclose(scaled, 2 * np.array(expected), atol=1e-9)
-    with pytest.raises(FormatError, match="distortion"):
-        clouds(tmp_path / "0.png", intrinsics={**LENS, "D": [0.1, 0, 0, 0, 0]})
+    scaled = clouds(tmp_path / "a.npy", layout="depth", intrinsics={**LENS, "depth_scale": 0.5})[0]
+    np.testing.assert_allclose(scaled, np.array(expected) / 2, atol=1e-9)
+
+
+@pytest.mark.parametrize(
+    ("entries", "named"),
+    [
+        ({"D": [0.1, 0, 0, 0, 0]}, "D"),
+        ({"K": [30, 5, 20, 0, 40, 15, 0, 0, 1]}, "K"),
+        ({"camera_matrix": [[30, 0, 20], [0, 40, 15], [0, 0, 1]], "dist_coeffs": [0.1]}, "camera_matrix, dist_coeffs"),
+        ({"model": "distortion.brown_conrady", "coeffs": [0.1, 0, 0, 0, 0]}, "coeffs, model"),
+        ({"k1": 0.3, "k2": -0.4}, "k1, k2"),
+        ({"skew": 5.0}, "skew"),
+        ({"width": 80, "height": 60}, "80 x 60"),
+        ({"depth_scale": 1000}, "depth_scale"),
+        ({"fx": None}, "fx"),
+        ({"fx": "30"}, "fx"),
+    ],
+)
+def test_a_lens_that_is_not_the_pinhole_of_the_image_is_refused_by_name(tmp_path, entries, named):
+    np.save(tmp_path / "a.npy", np.full((30, 40), 1000, np.uint16))
+    assert clouds(tmp_path / "a.npy", intrinsics={**LENS, "width": 40, "height": 30})[0][0, 2] == 1.0
+    with pytest.raises(FormatError, match=named):
+        clouds(tmp_path / "a.npy", intrinsics={**LENS, **entries})
+
+
+@pytest.mark.parametrize("kind", ["u2", "f4", "f8"])
+@pytest.mark.parametrize("scale", [0.001, 0.0002, 1 / 256])
+def test_a_declared_scale_of_depth_holds_for_floats_too(tmp_path, kind, scale):
+    np.save(tmp_path / "a.npy", np.full((30, 40), np.round(1.2 / scale), kind))
+    depth = clouds(tmp_path / "a.npy", intrinsics={**LENS, "depth_scale": scale})[0][:, 2]
+    np.testing.assert_allclose(depth, 1.2, atol=scale)
+
+
+@pytest.mark.parametrize("size", [(376, 672, 4), (288, 320, 3), (512, 512, 3), (192, 256, 3), (7, 50, 3)])
+def test_an_array_with_three_axes_is_asked_about(tmp_path, size):
+    np.save(tmp_path / "a.npy", np.ones(size, "f4"))
+    np.savez(tmp_path / "a.npz", points=np.ones(size, "f4"))
+    for name in ("a.npy", "a.npz"):
+        with pytest.raises(FormatError, match="layout"):
+            clouds(tmp_path / name, columns=[0, 1, 2])
+        assert len(clouds(tmp_path / name, layout="organised", columns=[0, 1, 2])) == 1
+        assert len(clouds(tmp_path / name, layout="film", columns=[0, 1, 2])) == size[0]
+
+
+@pytest.mark.parametrize("times", [np.array([0, 33], "m8[ms]"), np.array([0, 33], "M8[ms]"), np.array([False, True])])
+def test_times_of_a_film_are_numbers_of_seconds(tmp_path, times):
+    film = np.stack([ring()] * 2)
+    np.savez(tmp_path / "a.npz", clouds=film, times=[0.0, 0.033])
+    assert [time for time, _ in read_clouds(tmp_path / "a.npz", layout="film")] == [0.0, 0.033]
+    np.savez(tmp_path / "a.npz", clouds=film, times=times)
+    with pytest.raises(FormatError, match="seconds"):
+        list(read_clouds(tmp_path / "a.npz", layout="film"))
 
 
 def test_a_folder_is_read_in_the_order_of_its_numbers(tmp_path):
@@ -143,6 +192,9 @@ def test_a_folder_is_read_in_the_order_of_its_numbers(tmp_path):
 def test_files_that_are_none(tmp_path):
     with pytest.raises(FileNotFoundError, match="gone"):
         clouds(tmp_path / "gone.npy")
+    (tmp_path / "a.las").write_bytes(b"LASF")
+    with pytest.raises(FormatError, match=r"laspy\.read"):
+        clouds(tmp_path / "a.las")
     (tmp_path / "a.npy").write_bytes(b"no array")
     np.save(tmp_path / "b.npy", np.array([{}], dtype=object))
     for name in ("a.npy", "b.npy"):
@@ -189,3 +241,5 @@ def test_a_frame_that_saw_nothing_is_empty_and_a_wrong_shape_is_named():
         clean(np.zeros((9, 2)))
     with pytest.raises(ValueError, match="crop"):
         Cleaner(crop=((0, 0, 0), (1, 1, -1)))
+    with pytest.raises(ValueError, match="voxel"):
+        Cleaner(voxel=1e-300)(np.ones((4, 3)))

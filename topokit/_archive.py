@@ -30,7 +30,7 @@ class FormatError(ValueError):
 
 def existing(path: str | Path) -> Path:
     """Return the path of a regular file; raise FileNotFoundError if there is none."""
-    path = Path(path)
+    path = Path(path).expanduser()
     if not path.is_file():
         what = "a folder, not a file" if path.is_dir() else "there is no such file"
         raise FileNotFoundError(f"{path}: {what}")
@@ -119,7 +119,7 @@ def _array(archive: zipfile.ZipFile, name: str) -> NDArray[Any]:
 @contextlib.contextmanager
 def atomic_file(path: str | Path) -> Iterator[IO[bytes]]:
     """Open a file that takes the place of `path` when the block ends well, and is removed when it does not."""
-    path = Path(path)
+    path = Path(path).expanduser()
     path.parent.mkdir(parents=True, exist_ok=True)
     temporary = path.with_name(f".{path.name}.{secrets.token_hex(4)}.part")
     try:

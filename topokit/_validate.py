@@ -54,14 +54,27 @@ def as_points(points: ArrayLike, name: str = "points", *, copy: bool = False) ->
 
 
 def as_sequence(sequence: ArrayLike | Sequence[ArrayLike], name: str = "sequence") -> list[Array]:
-    """Return clouds as a list of copies (n_t, d) float64: the number of points may vary, the dimension may not."""
+    """Return clouds as a list of copies (n_t, d) float64: the number of points may vary, the dimension may not.
+
+    A frame that is None, or empty, is a cloud without points.
+    """
     clouds: list[Array] = []
+    seen: list[Array] = []
     for frame, cloud in enumerate(sequence):  # type: ignore[arg-type]
+        if is_empty(cloud):
+            clouds.append(np.empty((0, 3)))
+            continue
         clouds.append(as_points(cloud, f"{name}[{frame}]", copy=True))
-        d = clouds[0].shape[1]
-        if clouds[-1].shape[1] != d:
-            raise ValueError(f"{name}[{frame}] has {clouds[-1].shape[1]} dimensions, the frames before it {d}")
+        seen.append(clouds[-1])
+        if seen[-1].shape[1] != seen[0].shape[1]:
+            now, before = seen[-1].shape[1], seen[0].shape[1]
+            raise ValueError(f"{name}[{frame}] has {now} dimensions, the frames before it {before}")
     return clouds
+
+
+def is_empty(cloud: Any) -> bool:
+    """Return whether a frame has no points: None, an empty list, or an array (0, d)."""
+    return cloud is None or np.shape(cloud)[:1] == (0,)
 
 
 def as_number(value: Any, name: str, kind: str = "number") -> Any:

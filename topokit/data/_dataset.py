@@ -77,7 +77,7 @@ class Dataset(NumberedFiles):
     """
 
     def __init__(self, folder: str | Path) -> None:
-        if not (Path(folder) / ABOUT).is_file():
+        if not (Path(folder).expanduser() / ABOUT).is_file():
             raise FileNotFoundError(f"{folder}: there is no dataset (no {ABOUT}); topokit generate makes one")
         super().__init__(folder, ABOUT)
         self.settings = load(DatasetSettings, self.folder / ABOUT)  #: its settings

@@ -37,7 +37,7 @@ class NumberedFiles:
     """
 
     def __init__(self, folder: str | Path, about: str) -> None:
-        self.folder = Path(folder)  #: folder of the files
+        self.folder = Path(folder).expanduser()  #: folder of the files
         self._about = self.folder / about
         # An archive comes before the reason why there was none.
         found = [path for suffix in (".json", ".npz") for path in self.folder.glob(8 * "[0-9]" + suffix)]

@@ -79,7 +79,7 @@ def generate_dataset(
             task_of(config, task, config.garment(task))
 
     # Begin the folder, or check that it was begun with the same configuration, seed and versions.
-    folder = Path(out)
+    folder = Path(out).expanduser()
     about = {"schema": 2, "config": config.to_json(), "seed": seed, "episodes": episodes}
     about["versions"] = versions_of("numpy", "scipy", "pybullet")
     settings = from_mapping(DatasetSettings, about, "the dataset")

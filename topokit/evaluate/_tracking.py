@@ -28,15 +28,15 @@ from ._scores import THRESHOLD, Overlap, greatest
 def distance_to_hull(point: ArrayLike, points: ArrayLike) -> float:
     """Return how far `point` is from the convex hull of `points`, in their unit; zero inside, to rounding.
 
-    Flat hulls are no special case: this is the nearest point among all convex combinations, a non-negative least-squares
-    problem, not a search among facets.
+    Flat hulls are no special case: this is the nearest point among all convex combinations, a least-squares problem with
+    bounds, not a search among facets. The active-set solver is exact; `nnls` of SciPy 1.15 is not.
 
     Parameters
     ----------
     point, points : (d,) and (n, d) array_like
 
     """
-    from scipy.optimize import nnls
+    from scipy.optimize import lsq_linear
 
     offsets = as_points(points) - np.asarray(point, np.float64)
     scale = float(np.abs(offsets).max())
@@ -44,7 +44,7 @@ def distance_to_hull(point: ArrayLike, points: ArrayLike) -> float:
         return 0.0
     # Minimise |offsets^T w| over w >= 0 with sum(w) = 1, the sum kept by a heavily weighted row.
     system = np.vstack([offsets.T / scale, np.full((1, len(offsets)), 1e4)])
-    weights, _ = nnls(system, np.append(np.zeros(offsets.shape[1]), 1e4))
+    weights = lsq_linear(system, np.append(np.zeros(offsets.shape[1]), 1e4), (0, np.inf), method="bvls").x
     return float(np.linalg.norm(offsets.T @ (weights / weights.sum())))
 
 

@@ -15,6 +15,7 @@ from itertools import pairwise
 import numpy as np
 from numpy.typing import ArrayLike
 
+from .._validate import positive
 from ._measures import Beta
 from ._step import Check, Given, LoopCheck, Step, Verdict, as_step, compare
 
@@ -68,7 +69,7 @@ def regularity_of_killers(before: ArrayLike | Step, after: Given = None, alpha: 
     s = step.before
     epsilon = step.epsilon
     delta = step.distortion
-    alpha = max(alpha, step.larger_alpha)
+    alpha = max(positive(alpha, "alpha"), step.larger_alpha)
     betas = {
         "paper": s.beta_all(alpha, alpha, alpha),
         "corrected": s.beta_critical(2 * epsilon, 0.0, epsilon),

@@ -16,7 +16,7 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 from scipy.spatial.distance import cdist
 
-from .._validate import Array, Ids, as_ids, as_points
+from .._validate import Array, Ids, as_ids, as_points, positive
 from ..rips import Diagram, rips_persistence
 from ..sampling import covering_radius
 from ._matching import DiagramMatching, match_diagrams
@@ -179,7 +179,8 @@ def beta_all(points: ArrayLike, alpha: float, *, min_lifetime: float | None = No
     min_lifetime : float, optional
         Loops with a longer lifetime are measured; `alpha` when not given, as in the paper.
     """
-    shortest = alpha if min_lifetime is None else min_lifetime
+    alpha = positive(alpha, "alpha")
+    shortest = alpha if min_lifetime is None else positive(min_lifetime, "min_lifetime")
     return State.of(as_points(points)).beta_all(shortest, alpha, alpha)
 
 
@@ -212,5 +213,7 @@ def beta_critical(
     min_lifetime : float, optional
         Loops with a lifetime above it are measured; ``alpha + 2 * epsilon`` when not given: what the corollary needs.
     """
-    shortest = alpha + 2 * epsilon if min_lifetime is None else min_lifetime
+    alpha = positive(alpha, "alpha")
+    epsilon = positive(epsilon, "epsilon")
+    shortest = alpha + 2 * epsilon if min_lifetime is None else positive(min_lifetime, "min_lifetime")
     return State.of(as_points(points)).beta_critical(shortest, alpha, epsilon, nearest=nearest)

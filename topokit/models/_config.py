@@ -60,7 +60,7 @@ class TrainConfig:
     def load(cls, path: str | Path) -> TrainConfig:
         """Read a configuration (JSON). Its paths are made relative to the working directory."""
         config = load(cls, path)
-        folder = Path(path).parent
+        folder = Path(path).expanduser().parent
         changes: dict[str, Any] = {}
         for name in ("dataset", "start", "rehearse"):
             if getattr(config, name):

@@ -63,7 +63,7 @@ def train(
     if n_train < config.batch or not n_validation:
         few = f"{n_train} windows to train on and {n_validation} to validate with; a batch has {config.batch}"
         raise ValueError(f"{few}, and one is needed to validate: add episodes or make the batch smaller")
-    out = Path(out)
+    out = Path(out).expanduser()
     out.mkdir(parents=True, exist_ok=True)
     threads = torch.get_num_threads()
     torch.set_num_threads(config.threads)

@@ -10,7 +10,7 @@ from collections.abc import Sequence
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from topokit._validate import Array, as_reals
+from topokit._validate import Array, as_reals, positive
 from topokit.sampling import farthest_point_sample, inliers
 
 
@@ -56,8 +56,8 @@ class Cleaner:
         self.crop = None if crop is None else np.asarray(crop, dtype=np.float64)
         if self.crop is not None and not (self.crop.shape == (2, 3) and (self.crop[0] < self.crop[1]).all()):
             raise ValueError(f"crop must be a lower and a higher corner, (2, 3), not {self.crop.tolist()}")
-        self.plane = plane
-        self.voxel = voxel
+        self.plane = None if plane is None else positive(plane, "plane")
+        self.voxel = None if voxel is None else positive(voxel, "voxel", zero=False)
         self.outliers = outliers
         self.points = points
         self.removed: dict[str, int] = {}
@@ -77,6 +77,8 @@ class Cleaner:
         if self.plane is not None and len(cloud) > 3:
             cloud = self._left("on the plane", cloud, cloud[~_on_largest_plane(cloud, self.plane)])
         if self.voxel is not None:
+            if np.abs(cloud).max(initial=0.0) > 2**52 * self.voxel:
+                raise ValueError(f"voxel is {self.voxel:g}: too small to tell cubes apart at these coordinates")
             _, cells = np.unique(np.floor(cloud / self.voxel), axis=0, return_inverse=True)
             sums = np.stack([np.bincount(cells.ravel(), column) for column in cloud.T], axis=-1)
             cloud = self._left("by voxels", cloud, sums / np.bincount(cells.ravel())[:, None])

@@ -16,7 +16,7 @@ from typing import Any
 import numpy as np
 
 from topokit._archive import FormatError, existing, is_archive
-from topokit._validate import Array, as_reals
+from topokit._validate import Array, as_number, as_reals, positive
 
 Frames = Iterator[tuple[float | None, Array]]
 
@@ -50,8 +50,9 @@ def read_clouds(
         The numbers of a point that are its place, by index, or by name where the first line of a table has names. By default x,
         y and z where a table names them, and else the first three.
     intrinsics : mapping, optional
-        The lens of a depth camera without distortion: fx, fy, cx, cy in pixels. By default the file intrinsics.json beside the
-        image.
+        The lens of a depth camera without distortion: fx, fy, cx, cy in pixels, and no other numbers but `depth_scale`, metres
+        in a unit of the depth, and the size of the image as `width` and `height`. With it an array is depth. By default the
+        file intrinsics.json beside the image.
     fps : float, optional
         Frames a second, for files without times.
 
@@ -62,8 +63,12 @@ def read_clouds(
     FormatError
         When a file is damaged, of another kind, or ambiguous. The message names the file, the problem and a remedy.
     """
+    if fps is not None:
+        positive(fps, "fps", zero=False)
+    if scale is not None:
+        positive(scale, "scale", zero=False)
     options = _Options(layout, scale, None if columns is None else tuple(columns), intrinsics)
-    clouds = (pair for file in _files_of(Path(path)) for pair in _clouds_in(file, options))
+    clouds = (pair for file in _files_of(Path(path).expanduser()) for pair in _clouds_in(file, options))
     for number, (time, cloud) in enumerate(clouds):
         yield (time if fps is None else number / fps), cloud
 
@@ -86,7 +91,8 @@ def _files_of(path: Path) -> list[Path]:
     kinds = sorted({file.suffix.lower() for file in files})
     if len(kinds) != 1 or kinds[0] not in _READERS:
         held = ", ".join(kinds) or "no cloud"
-        raise FormatError(f"{path}: holds {held}; a film is of one kind: {', '.join(_READERS)}")
+        cure = f"; np.save the points of {_ELSEWHERE[held]}" if held in _ELSEWHERE else ""
+        raise FormatError(f"{path}: holds {held}; a film is of one kind: {', '.join(_READERS)}{cure}")
     return sorted(
         files, key=lambda file: [int(word) if word.isdigit() else word for word in re.split(r"(\d+)", file.stem)]
     )
@@ -105,7 +111,7 @@ def _clouds_in(file: Path, options: _Options) -> Frames:
 def _clouds_of(array: Array, file: Path, options: _Options) -> Iterator[Array]:
     """Yield the clouds of an array of numbers, by the rule of this module."""
     array = as_reals(array, "the array")
-    layout = options.layout
+    layout = "depth" if options.intrinsics is not None else options.layout
     if layout is None and array.ndim == 2 and array.shape[1] > 3 and options.columns is None:
         question = f"are its {array.shape[1]} columns numbers of a point (say which are its place, as columns=), or is it depth"
         raise ValueError(f"an array of shape {array.shape}: {question} (layout='depth')?")
@@ -141,19 +147,27 @@ def _seen_by_pixels(depth: Array, file: Path, options: _Options) -> Array:
                 f"a depth image {depth.shape} needs its lens: intrinsics=, or a file {beside.name} beside it"
             )
         lens = json.loads(beside.read_text(encoding="utf-8"))
-    distorted = np.any(np.asarray(lens.get("D", lens.get("coeffs", 0.0)), dtype=float))
-    if distorted:
+    others = sorted(set(lens) - {"fx", "fy", "cx", "cy", "width", "height", "depth_scale"})
+    if others:
         raise ValueError(
-            "its lens has distortion, which is not corrected here: undistort the image first (cv2.undistort)"
+            f"its lens has {', '.join(others)}: give fx, fy, cx, cy of a lens without distortion or skew (cv2.undistort)"
         )
+    height, width = depth.shape
+    if (lens.get("width", width), lens.get("height", height)) != (width, height):
+        raise ValueError(
+            f"its lens is of an image of {lens['width']} x {lens['height']} pixels, not {width} x {height}"
+        )
+    x_focal, y_focal, x_centre, y_centre = (float(as_number(lens.get(name), name)) for name in ("fx", "fy", "cx", "cy"))
 
     scale = options.scale
     if scale is None:
-        scale = float(lens.get("depth_scale", 0.001 if depth.dtype.kind in "iu" else 1.0))
+        scale = positive(lens.get("depth_scale", 0.001 if depth.dtype.kind in "iu" else 1.0), "depth_scale", zero=False)
+        if scale > 1:
+            raise ValueError(f"depth_scale is metres in a unit of the depth, not units in a metre: 1 / {scale:g}?")
     z = depth * scale
     rows, columns = np.indices(depth.shape)
-    x = z * (columns - lens["cx"]) / lens["fx"]
-    y = z * (rows - lens["cy"]) / lens["fy"]
+    x = z * (columns - x_centre) / x_focal
+    y = z * (rows - y_centre) / y_focal
     return np.stack([x, y, z], axis=-1).reshape(-1, 3)
 
 
@@ -173,7 +187,8 @@ def _npz(file: Path, options: _Options) -> Frames:
         if name is None:
             raise ValueError(f"it has {', '.join(archive)}, and no array 'clouds' or 'points'")
         clouds = list(_clouds_of(archive[name], file, options))
-        times = archive["times"].tolist() if "times" in archive else [None] * len(clouds)
+        given = archive.get("times", [])
+        times = [float(as_number(time, "times", "number of seconds")) for time in given] or [None] * len(clouds)
     yield from zip(times, clouds, strict=True)
 
 
@@ -223,3 +238,14 @@ def _table(file: Path, options: _Options) -> Frames:
 
 _READERS = {".npy": _npy, ".npz": _npz, ".ply": _ply, ".png": _png}
 _READERS |= dict.fromkeys((".csv", ".txt", ".xyz", ".pts"), _table)
+
+# What reads the points of other files.
+_ELSEWHERE = dict.fromkeys(
+    (".glb", ".gltf", ".obj", ".off", ".stl"), "trimesh.load(path, process=False, force='mesh').vertices"
+)
+_ELSEWHERE |= {
+    ".las": "laspy.read(path).xyz",
+    ".laz": "laspy.read(path).xyz",
+    ".pcd": "pypcd4.PointCloud.from_path(path).numpy()",
+}
+_ELSEWHERE |= dict.fromkeys((".vtk", ".vtp", ".vtu"), "pyvista.read(path).points")

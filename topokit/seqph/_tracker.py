@@ -11,6 +11,7 @@ the whole distance matrix, so it follows both loops here. Taught in chapters 0 a
 
 from __future__ import annotations
 
+from collections import deque
 from collections.abc import Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, replace
 from functools import partial
@@ -20,7 +21,7 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 from numpy.typing import ArrayLike
 
-from topokit._validate import Array, as_number, as_sequence, positive, whole
+from topokit._validate import Array, as_number, as_sequence, is_empty, positive, whole
 from topokit.linking import curve_centroid
 from topokit.rips import Diagram, rips_persistence, rips_persistence_many
 from topokit.sampling import as_tree, hausdorff
@@ -58,9 +59,9 @@ class Known:
     motion: float = 0.0  #: distance that the scene has moved since the bar was last found
     missed: int = 0  #: number of frames since the bar was last found
 
-    def carried(self, shift: Array | float, epsilon: float) -> Known:
-        """Return it one frame later, moved with the scene."""
-        return replace(self, place=self.place + shift, motion=self.motion + epsilon, missed=self.missed + 1)
+    def carried(self, shift: Array | float, epsilon: float, frames: int) -> Known:
+        """Return it some frames later, moved with the scene."""
+        return replace(self, place=self.place + shift, motion=self.motion + epsilon, missed=self.missed + frames)
 
 
 class SeqPH:
@@ -94,7 +95,8 @@ class SeqPH:
     memory : int
         Number of frames for which a missed loop is remembered, 40 by default. When it returns within its gates, widened by
         the motion since, it keeps its identity. With evidence it is returned once its belief is large enough: after 25 missed
-        frames, some three frames later.
+        frames, some three frames later. When times are given, a gap counts as the frames that it would hold, at the median
+        step of the 100 frames before it.
     match : callable, optional
         Function of `Candidates` that returns the pairs (i, j) of a found loop i and the same known loop j, each at most once.
         It is called for the known loops with positive belief, then for the rest. By default it minimises the total
@@ -145,6 +147,7 @@ class SeqPH:
         self._last_frame: Frame | None = None
         self._number = 0  # number of the next frame
         self._seconds = -np.inf  # time of the last frame
+        self._steps: deque[float] = deque(maxlen=100)  # seconds between frames
         self._next_id = 0
         self._known: list[Known] = []
 
@@ -170,7 +173,7 @@ class SeqPH:
         Parameters
         ----------
         points : (n, d) array_like
-            Cloud of at least one point, which is copied. Clouds may differ in n, not in d.
+            Cloud, which is copied. Clouds may differ in n, not in d. In one that is None or empty nothing was seen (`skip`).
         time : float, optional
             Time in seconds, for all frames or for none; the frame's number when not given.
         diagram : Diagram, optional
@@ -180,12 +183,16 @@ class SeqPH:
         Raises
         ------
         ValueError
-            When the cloud has no point (call `skip`), a NaN, or another dimension than the one before; when its time is not
-            later than the last; when the diagram has another number of points, or a loop that does not die.
+            When the cloud has a NaN, or another dimension than the one before; when its time is not later than the last; when
+            the diagram has another number of points, or a loop that does not die.
         """
+        if is_empty(points):
+            return self.skip(time=time)
         tree = as_tree(points, f"frame {self._number}", copy=True)
         dimension = None if self._last_frame is None else self._last_frame.tree.m
-        seconds = check_frame(self._number, tree.data, time, self._seconds, dimension)
+        if dimension not in (None, tree.m):
+            raise ValueError(f"frame {self._number} has {tree.m} dimensions, the frames before it have {dimension}")
+        seconds = check_time(self._number, time, self._seconds)
         frame = self._frame(tree)
         if diagram is None:
             diagram = rips_persistence(tree.data[frame.ids])
@@ -208,10 +215,10 @@ class SeqPH:
         epsilon = self.epsilon or 0.0
         parameters = {"alpha": self.alpha or 0.0, "beta": self.beta or 0.0, "epsilon": epsilon}
         state = TopologicalState(self._number, seconds, (), parameters)
-        carried = [loop.carried(0.0, epsilon) for loop in self._known]
+        frames = self._frames_until(seconds)
+        carried = [loop.carried(0.0, epsilon, frames) for loop in self._known]
         self._known = [loop for loop in carried if loop.missed <= self.memory]
-        self._seconds = seconds
-        self._number += 1
+        self._pass(seconds)
         return state
 
     def stream(self, frames: Iterable[ArrayLike]) -> Iterator[TopologicalState]:
@@ -276,9 +283,11 @@ class SeqPH:
         points = cloud[frame.ids]
         places = [place(diagram, bar, points, self.identity) for bar in bars]
 
-        # The loops known from before, carried along with the scene.
+        # The loops known from before, carried along with the scene. A loop of the last frame has missed no frame yet.
         shift, epsilon = self._motion(frame)
-        known = [loop.carried(shift, epsilon) for loop in self._known]
+        frames = self._frames_until(seconds)
+        carried = [loop.carried(shift, epsilon, frames) for loop in self._known]
+        known = [loop for loop in carried if loop.missed <= self.memory + 1]
 
         # Match bars with known loops: distances and gates of all pairs, then the cheapest matching.
         beta = self._beta(diagram.death[bars], np.array([loop.death for loop in known]))
@@ -336,9 +345,21 @@ class SeqPH:
         self._known = known_now
         self._next_id = next_id
         self._last_frame = frame
+        self._pass(seconds)
+        return state
+
+    def _frames_until(self, seconds: float) -> int:
+        """Return how many frames there are from the last one to one at this time, when all steps are the usual one."""
+        if not self._steps:
+            return 1
+        return max(1, round((seconds - self._seconds) / np.median(self._steps)))
+
+    def _pass(self, seconds: float) -> None:
+        """Go on to the next frame."""
+        if self._number > 0:
+            self._steps.append(seconds - self._seconds)
         self._seconds = seconds
         self._number += 1
-        return state
 
     def _evidence(self, diagram: Diagram, frame: Frame) -> Array:
         """Return the evidence (m,) that each bar of a frame is a loop; by alpha alone it is infinite, for or against."""
@@ -383,15 +404,6 @@ def _matched(rule: MatchRule, candidates: Candidates, rows: list[int], columns: 
     return matching
 
 
-def check_frame(number: int, cloud: Array, time: float | None, before: float, dimension: int | None) -> float:
-    """Return the time of a frame, or raise ValueError when it has no point, or another dimension than the frames before."""
-    if len(cloud) == 0:
-        raise ValueError(f"frame {number} has no points, so that its loops are not known: call skip() for it")
-    if dimension not in (None, cloud.shape[1]):
-        raise ValueError(f"frame {number} has {cloud.shape[1]} dimensions, the frames before it have {dimension}")
-    return check_time(number, time, before)
-
-
 def check_time(number: int, time: float | None, before: float) -> float:
     """Return the time of a frame, its number when it has none, or raise ValueError unless it is later than the one before."""
     seconds = float(number if time is None else as_number(time, "time", "number of seconds"))
@@ -414,6 +426,7 @@ def track(
     Parameters
     ----------
     sequence : (T, n, d) array_like or list of (n_t, d) array_like
+        In a frame that is None or empty nothing was seen.
     times : T floats, optional
         Seconds of the frames.
     n_jobs : int, optional
@@ -434,16 +447,18 @@ def track(
         raise ValueError(f"times has {len(stamps)} values for {len(clouds)} frames")
     tracker = SeqPH(**options)
     seconds: list[float] = []
-    for number, (cloud, time) in enumerate(zip(clouds, stamps, strict=True)):
+    for number, time in enumerate(stamps):
         before = seconds[-1] if seconds else -np.inf
-        seconds.append(check_frame(number, cloud, time, before, None))
+        seconds.append(check_time(number, time, before))
 
     # Persistence of all frames at once, then the matching frame by frame.
-    frames = [tracker._frame(as_tree(cloud)) for cloud in clouds]
-    counted = [cloud[frame.ids] for cloud, frame in zip(clouds, frames, strict=True)]
+    frames = [tracker._frame(as_tree(cloud)) if len(cloud) else None for cloud in clouds]
+    counted = [cloud if frame is None else cloud[frame.ids] for cloud, frame in zip(clouds, frames, strict=True)]
     diagrams = rips_persistence_many(counted, n_jobs, progress=progress)
-    moments = zip(clouds, frames, diagrams, seconds, strict=True)
-    return [tracker._advance(*moment) for moment in moments]
+    return [
+        tracker.skip(time=time) if frame is None else tracker._advance(cloud, frame, diagram, time)
+        for cloud, frame, diagram, time in zip(clouds, frames, diagrams, seconds, strict=True)
+    ]
 
 
 def place(diagram: Diagram, bar: int, cloud: Array, identity: str) -> Array:

@@ -123,7 +123,7 @@ class HtmlFigure:
         ----------
         path : str or Path
         """
-        path = Path(path)
+        path = Path(path).expanduser()
         with atomic_file(path) as file:
             file.write(self.page.encode())
         return path
