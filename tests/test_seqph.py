@@ -303,7 +303,6 @@ def test_bad_options_are_named(option, error):
 @pytest.mark.parametrize(
     ("frame", "time"),
     [
-        (np.empty((0, 2)), 2.0),
         (np.zeros((9, 3)), 2.0),
         (np.zeros(9), 2.0),
         (np.vstack([polygon(19), [[np.nan, 0]]]), 2.0),

@@ -187,8 +187,8 @@ def _npz(file: Path, options: _Options) -> Frames:
         if name is None:
             raise ValueError(f"it has {', '.join(archive)}, and no array 'clouds' or 'points'")
         clouds = list(_clouds_of(archive[name], file, options))
-        given = archive.get("times", [])
-        times = [float(as_number(time, "times", "number of seconds")) for time in given] or [None] * len(clouds)
+        given = archive.get("times", [None] * len(clouds))
+        times = [None if time is None else float(as_number(time, "times", "number of seconds")) for time in given]
     yield from zip(times, clouds, strict=True)
 
 
