@@ -206,7 +206,9 @@ def track(
             file.writelines(f"{json.dumps(state.as_dict())}\n".encode() for state in states)
     if plot is not None:
         _plot(plot, film, states)
-    return {"episode": str(episode), "frames": len(states), "out": _text(out), "plot": _text(plot), "tracks": rows}
+    answer = {"episode": str(episode), "frames": len(states), "out": _text(out), "plot": _text(plot), "tracks": rows}
+    n_empty = sum(len(cloud) == 0 for cloud in film.clouds)
+    return answer | {"empty frames": n_empty} if n_empty else answer
 
 
 @dataclasses.dataclass
