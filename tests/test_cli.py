@@ -110,7 +110,12 @@ def test_tracks_as_an_archive_as_lines_and_as_a_picture(episode, tmp_path):
 @pytest.mark.parametrize("kind", ["folder", "file"])
 def test_track_takes_clouds(kind, tmp_path, capsys):
     ring = np.column_stack([polygon(60), np.zeros(60)])
-    clouds = [ring, ring + [0, 0, 0.01], np.zeros((9, 3)), ring + [0, 0, 0.02]]  # a camera that sees nothing writes zeros
+    clouds = [
+        ring,
+        ring + [0, 0, 0.01],
+        np.zeros((9, 3)),
+        ring + [0, 0, 0.02],
+    ]  # a camera that sees nothing writes zeros
     path = tmp_path / "film"
     if kind == "folder":
         path.mkdir()
