@@ -6,7 +6,7 @@ Source: Antonova et al. 2021, section 5 (h = 16, k = 60). Taught in chapter 11.
 from __future__ import annotations
 
 import copy
-from collections.abc import Callable, Iterable, Mapping, Sequence
+from collections.abc import Callable, Iterable, Sequence
 from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any
@@ -27,43 +27,19 @@ Ticks = NDArray[np.signedinteger[Any]]
 
 
 @dataclass(frozen=True, eq=False)
-class _Tracked:
-    """Labels of an episode: places as integers in units of 0.1 mm, values in metres."""
-
-    ids: NDArray[np.int32]  # (T, S') identities, -1 where there is no loop
-    triangles: Ticks  # (T, S', 6, 3, 3) corners of the triangles
-    values: Array  # (T, S', 6) filtration values of the triangles
-    numbers: Array  # (T, S', 3) birth, death, killer_shift
-
-    @classmethod
-    def of(cls, arrays: Mapping[str, NDArray[Any]], cloud: Ticks) -> _Tracked:
-        """Return the labels of a tracked cloud from their arrays: the killer triangles first, then the neighbours."""
-        simplices = arrays["simplices"]
-        numbers = np.asarray(
-            arrays["values"], np.float32
-        )  # as labels store them, also where states were tracked just now
-        frames, slots = simplices.shape[:2]
-        killers = simplices[..., 4:10].reshape(frames, slots, 2, 3)
-        neighbours = simplices[..., 10:].reshape(frames, slots, 4, 3)
-
-        # A neighbour that is absent repeats the thick killer triangle, with the value 0.
-        absent = neighbours[..., :1] == ABSENT
-        ids = np.concatenate([killers, np.where(absent, killers[:, :, :1], neighbours)], axis=2)  # (T, S', 6, 3)
-        values = np.concatenate([numbers[..., [1, 1]], np.where(absent[..., 0], 0, numbers[..., 3:7])], axis=2)
-        triangles = cloud[np.arange(frames)[:, None, None, None], ids]
-        return cls(arrays["id"], triangles, values, np.nan_to_num(numbers[..., :3], nan=0.0))
-
-
-@dataclass(frozen=True, eq=False)
-class _Episode:
-    """An episode from which windows are cut: places as integers in units of 0.1 mm."""
+class _Film:
+    """An episode from which windows are cut: places as integers in units of 0.1 mm, values in metres."""
 
     clouds: Ticks  # (T, P, 3)
     grippers: Ticks  # (T, 2, 3)
     actions: Ticks
     held: NDArray[np.bool_]  # (T,)
-    tracked: _Tracked
-    places: dict[int, NDArray[np.int64]] = field(default_factory=dict)  # by frame, of windows that were asked for
+    ids: NDArray[np.int32]  # (T, S') identities of the tracked loops, -1 where there is none
+    lifetimes: Array  # (T, S')
+    states: dict[str, NDArray[Any]]  # of the loops, (T, S' + 1, ...) each, 0 in the last slot
+    places: dict[int, NDArray[np.int64]] = field(
+        default_factory=dict
+    )  # of loops, by frame, in windows asked for before
 
 
 class WindowDataset(torch.utils.data.Dataset[dict[str, torch.Tensor]]):
@@ -145,13 +121,11 @@ class WindowDataset(torch.utils.data.Dataset[dict[str, torch.Tensor]]):
         self.horizon = horizon
         self.n_points = n_points
         self.slots = slots
-        self._decoded: dict[int, _Episode] = {}
+        self._films: dict[int, _Film] = {}
 
         # The episodes, all of which must have labels.
         labelled = self.dataset.labelled(labels)
-        self.episodes = (
-            labelled if episodes is None else np.unique([whole(number, "an episode") for number in episodes])
-        )
+        self.episodes = labelled if episodes is None else np.unique(np.array([*episodes], dtype=np.int64))
         missing = np.setdiff1d(self.episodes, labelled)
         if len(missing):
             lacking = f"{len(missing)} episodes have no labels {labels!r}, the first is {missing[0]}"
@@ -179,52 +153,33 @@ class WindowDataset(torch.utils.data.Dataset[dict[str, torch.Tensor]]):
     def __getitems__(self, rows: Sequence[int]) -> list[dict[str, torch.Tensor]]:
         """Return several windows. A DataLoader asks for a batch by this: it is computed in one piece, which is quicker."""
         windows = [self._window(*self.index[i].tolist()) for i in rows]
-        whole = {name: np.stack([window[name] for window in windows]) for name in windows[0]}
-        present = whole["place"] >= 0  # (B, h + k, S)
-        numbers = np.where(present[..., None], whole["numbers"], 0)
-        states = {
-            "triangles": _metres(whole["triangles"]) * present[..., None, None, None],
-            "values": np.where(present[..., None], whole["values"], 0),
-            "present": present,
-            **{name: numbers[..., i] for i, name in enumerate(("birth", "death", "killer_shift"))},
-        }
-        past = slice(None, self.history)
-        future = slice(self.history, None)
-        parts = {
-            **{name: _metres(whole[name]) for name in ("clouds", "grippers", "actions")},
-            "held": whole["held"][:, past],
-            "actions_held": whole["held"][:, future],
-            **{name: part[:, future] for name, part in states.items()},
-            **{f"past_{name}": part[:, past] for name, part in states.items()},
-            **{name: whole[name] for name in ("episode", "frame", "garment")},
-        }
-        tensors = {name: torch.from_numpy(np.ascontiguousarray(part)).unbind() for name, part in parts.items()}
+        tensors = {}
+        for name in windows[0]:
+            part = np.stack([window[name] for window in windows])
+            if part.dtype.kind == "i" and part.ndim > 1:  # places
+                part = part.astype(np.float32) * np.float32(1 / TICKS)
+            tensors[name] = torch.from_numpy(part).unbind()
         return [{name: values[i] for name, values in tensors.items()} for i in range(len(windows))]
 
     def _window(self, number: int, frame: int) -> dict[str, NDArray[Any]]:
-        """Return what an episode has for a window; states of all its frames, where `place` is negative those of another loop."""
-        if number not in self._decoded:
-            self._decoded[number] = self._decode(number)
-        episode = self._decoded[number]
-        past = slice(frame - self.history + 1, frame + 1)
-        future = slice(frame + 1, frame + self.horizon + 1)
-        frames = np.arange(past.start, future.stop)
-        if frame not in episode.places:
-            episode.places[frame] = self._places(episode.tracked, past, future)
-        place = episode.places[frame]
-        tracked = episode.tracked
+        """Return the parts of a window, places in units of 0.1 mm."""
+        film = self._film(number)
+        frames = np.arange(frame - self.history + 1, frame + self.horizon + 1)
+        past, future = np.split(frames, [self.history])
+        if frame not in film.places:
+            film.places[frame] = self._places(film, past, future)
+        states = {name: part[frames[:, None], film.places[frame]] for name, part in film.states.items()}
         return {
-            "clouds": episode.clouds[past],
-            "grippers": episode.grippers[past],
-            "actions": episode.actions[future],
-            "held": episode.held[frames],
-            "place": place,
-            "triangles": tracked.triangles[frames[:, None], place],
-            "values": tracked.values[frames[:, None], place],
-            "numbers": tracked.numbers[frames[:, None], place],
-            "episode": np.asarray(number, np.int64),
-            "frame": np.asarray(frame, np.int64),
-            "garment": np.asarray(self.dataset.garments.index(self.dataset.record(number).garment), np.int64),
+            "clouds": film.clouds[past],
+            "grippers": film.grippers[past],
+            "actions": film.actions[future],
+            "held": film.held[past],
+            "actions_held": film.held[future],
+            **{name: part[self.history :] for name, part in states.items()},
+            **{f"past_{name}": part[: self.history] for name, part in states.items()},
+            "episode": np.array(number),
+            "frame": np.array(frame),
+            "garment": np.array(self.dataset.garments.index(self.dataset.record(number).garment)),
         }
 
     def true_loops(self, i: int) -> tuple[Array, ...]:
@@ -242,58 +197,79 @@ class WindowDataset(torch.utils.data.Dataset[dict[str, torch.Tensor]]):
 
     def __getstate__(self) -> dict[str, Any]:
         """Return what a spawned process gets: all but the decoded episodes."""
-        return {**vars(self), "_decoded": {}}
+        return {**vars(self), "_films": {}}
 
     def load(self) -> WindowDataset:
         """Decode all episodes now; processes forked later share them."""
         for number in self.episodes.tolist():
-            self._decoded[number] = self._decode(number)
+            self._film(number)
         return self
 
     def select(self, rows: ArrayLike) -> WindowDataset:
         """Return the windows of these rows of `index` alone, in their order; decoded episodes are shared."""
         chosen = copy.copy(self)
-        chosen._decoded = self._decoded
+        chosen._films = self._films
         chosen.index = self.index[np.asarray(rows, dtype=np.int64)]
         chosen.episodes = np.unique(chosen.index[:, 0])
         return chosen
 
-    def _places(self, tracked: _Tracked, past: slice, future: slice) -> NDArray[np.int64]:
+    def _places(self, film: _Film, past: NDArray[np.int64], future: NDArray[np.int64]) -> NDArray[np.int64]:
         """Return where the loop of each slot is among those of each frame of a window, (h + k, S); -1 where it is absent."""
-        ids = tracked.ids[past]
-        numbers = tracked.numbers[past]
-
         # The loops of the history, the longest total lifetime first.
-        alive = ids >= 0
-        known, position = np.unique(ids[alive], return_inverse=True)
-        total = np.bincount(position, (numbers[..., 1] - numbers[..., 0])[alive], len(known))
+        alive = film.ids[past] >= 0
+        known, position = np.unique(film.ids[past][alive], return_inverse=True)
+        total = np.bincount(position, film.lifetimes[past][alive], len(known))
         known_first = known[np.argsort(-total, kind="stable")]
 
         # Then those that appear later, in the order of frames, and within a frame of lifetime.
-        later, first = np.unique(tracked.ids[future], return_index=True)
+        later, first = np.unique(film.ids[future], return_index=True)
         later = later[np.argsort(first)]
         newcomers = later[(later >= 0) & ~np.isin(later, known)]
         order = np.concatenate([known_first, newcomers, np.full(self.slots, -2)])[: self.slots]
-        match = tracked.ids[past.start : future.stop, None, :] == order[None, :, None]  # (h + k, S, S')
+        match = film.ids[np.concatenate([past, future]), None, :] == order[None, :, None]  # (h + k, S, S')
         return np.where(match.any(axis=2), match.argmax(axis=2), -1)
 
-    def _decode(self, number: int) -> _Episode:
+    def _film(self, number: int) -> _Film:
+        """Return an episode as windows are cut from it, decoded when it is needed first."""
+        if number in self._films:
+            return self._films[number]
         episode = self.dataset[number]
-        tracked_clouds = self._tracked_clouds(episode, number)
+        tracked = self._tracked_clouds(episode, number)
+        clouds = tracked
         if self.observe is None:
-            labels = self.dataset.labels(self.labels)
             clouds = self._sampled(episode)
-            arrays = labels.arrays(number, tracked_clouds)
+            arrays = self.dataset.labels(self.labels).arrays(number, tracked)
         else:
-            clouds = tracked_clouds
-            arrays = state_arrays(track(as_metres(clouds), n_jobs=1))
-        return _Episode(
-            clouds[:, np.arange(self.n_points) % clouds.shape[1]],
-            as_ticks(episode.grippers),
-            as_ticks(episode.actions),
-            episode.held,
-            _Tracked.of(arrays, tracked_clouds),
+            arrays = state_arrays(track(as_metres(tracked), n_jobs=1))
+
+        # Labels are stored in single precision, so states that were tracked just now are rounded likewise.
+        ids = arrays["id"]
+        numbers = np.asarray(arrays["values"], np.float32)
+        birth, death, killer_shift = np.moveaxis(np.nan_to_num(numbers[..., :3], nan=0.0), -1, 0)
+        killers = arrays["simplices"][..., 4:10].reshape(*ids.shape, 2, 3)
+        neighbours = arrays["simplices"][..., 10:].reshape(*ids.shape, 4, 3)
+
+        # A neighbour that is absent repeats the thick killer triangle, with the value 0.
+        absent = neighbours[..., :1] == ABSENT
+        corners = np.concatenate([killers, np.where(absent, killers[:, :, :1], neighbours)], axis=2)  # (T, S', 6, 3)
+        states = {
+            "triangles": tracked[np.arange(len(ids))[:, None, None, None], corners],
+            "values": np.concatenate([numbers[..., [1, 1]], np.where(absent[..., 0], 0, numbers[..., 3:7])], axis=2),
+            "present": ids >= 0,
+            "birth": birth,
+            "death": death,
+            "killer_shift": killer_shift,
+        }
+        self._films[number] = _Film(
+            clouds=clouds[:, np.arange(self.n_points) % clouds.shape[1]],
+            grippers=as_ticks(episode.grippers),
+            actions=as_ticks(episode.actions),
+            held=episode.held,
+            ids=ids,
+            lifetimes=death - birth,
+            states={name: np.append(part, np.zeros_like(part[:, :1]), axis=1) for name, part in states.items()},
         )
+        return self._films[number]
 
     def _tracked_clouds(self, episode: Episode, number: int) -> Ticks:
         """Return the clouds (T, n, 3) on which the states of an episode were tracked."""
@@ -307,7 +283,3 @@ class WindowDataset(torch.utils.data.Dataset[dict[str, torch.Tensor]]):
         clouds = as_ticks(episode.observed)
         few = min(self.n_points, clouds.shape[1])
         return np.array([cloud[farthest_point_sample(cloud, few, None)[0]] for cloud in clouds])
-
-
-def _metres(ticks: Ticks) -> Array:
-    return ticks.astype(np.float32) * np.float32(1 / TICKS)
