@@ -11,7 +11,7 @@ import trimesh
 from PIL import Image
 from sensor_files import ring
 
-from topokit.io import FormatError
+from topokit._archive import FormatError
 from topokit.sensors import Cleaner, read_clouds
 
 from conftest import DATA

@@ -20,11 +20,11 @@ import numpy as np
 from numpy.typing import NDArray
 
 from ._archive import FormatError, load_archive, save_archive
-from ._validate import WrongKindError, as_ids
+from ._validate import as_ids
 from .rips import Diagram, rips_persistence
 from .seqph import Loop, TopologicalState
 
-__all__ = ["Episode", "FormatError", "load_episode", "load_states", "save_episode", "save_states"]
+__all__ = ["Episode", "load_episode", "load_states", "save_episode", "save_states"]
 
 Clouds = Sequence[NDArray[Any]] | NDArray[Any]  # of a film, (n, d) each
 SCHEMA = 2
@@ -164,39 +164,30 @@ def load_episode(path: str | Path) -> Episode:
     ------
     FileNotFoundError
         When there is no such file.
-    FormatError
+    ValueError
         When the file is empty, damaged, of another format or of another schema; the message names the reason.
     """
     header, arrays = load_archive(path, EPISODE_KIND)
     if header.get("schema") != SCHEMA:
         raise FormatError(f"{path}: schema {header.get('schema')} where {SCHEMA} is expected: record it again")
     try:
-        unknown = sorted(arrays.keys() - {*_EPISODE_LAYOUT, "observed_ids"})
-        if unknown:
-            raise KeyError(unknown[0])
         parts: dict[str, Any] = {"held": arrays["held"], "faces": arrays["faces"]}
         parts["centre_line"] = as_metres(arrays["centre_line"])
         for name in ("points", "actions", "grippers"):
             parts[name] = as_metres(_sums(arrays[name]), name)
+        vertices = arrays["points"].shape[1]
         if "observed_ids" in arrays:
-            ids = as_ids(arrays["observed_ids"], "observed_ids", arrays["points"].shape[1])
-            if ids.ndim != 2 or len(ids) != len(parts["points"]):
-                raise ValueError(f"observed_ids has shape {ids.shape}, and there are {len(parts['points'])} frames")
-            parts["observed"] = parts["points"][np.arange(len(ids))[:, None], ids]
+            ids = as_ids(arrays["observed_ids"], "observed_ids", vertices)
+            parts["observed"] = np.take_along_axis(parts["points"], ids[:, :, None], axis=1)
         else:
             parts["observed"] = as_metres(_sums(arrays["observed"]))
-        vertices = arrays["points"].shape[1]
-        loops = tuple(
-            as_ids(ids, f"loops[{i}]", vertices).astype(np.int32) for i, ids in enumerate(header.pop("loops"))
-        )
+        loops = [as_ids(ids, f"loops[{i}]", vertices).astype(np.int32) for i, ids in enumerate(header.pop("loops"))]
         if header.pop("frames") != len(arrays["held"]):
             raise ValueError("the header gives another number of frames than the arrays")
-        episode = Episode(loops=loops, **parts, **header)
+        episode = Episode(loops=tuple(loops), **parts, **header)
         check_episode(episode)
-    except (KeyError, TypeError, IndexError) as error:
-        raise FormatError(f"{path}: an episode with a missing or an unknown part: {error}; record it again") from error
-    except ValueError as error:
-        raise FormatError(f"{path}: {error}") from error
+    except (KeyError, TypeError, IndexError, ValueError) as error:
+        raise FormatError(f"{path}: a part of the episode is missing or does not fit: {error}") from error
     return episode
 
 
@@ -215,19 +206,6 @@ def check_episode(episode: Episode) -> None:
             raise ValueError(f"loops[{i - 1}] has shape {np.shape(loop)}; a loop is a list of vertex ids")
     if type(episode.dt) not in (int, float) or not 0 < episode.dt < np.inf:
         raise ValueError(f"dt must be a positive number of seconds between two frames, not {episode.dt!r}")
-    if not isinstance(episode.physics, dict):
-        raise WrongKindError(f"physics must be a dict, not {episode.physics!r:.80}")
-    _check_loop_names(episode)
-
-
-def _check_loop_names(episode: Episode) -> None:
-    """Raise ValueError unless loops that are named have different names, one a loop."""
-    names = episode.physics.get("loops", [])
-    if not isinstance(names, list) or {type(name) for name in names} - {str}:
-        raise WrongKindError(f"physics['loops'] must be a list of names, not {names!r:.80}")
-    if names and not len(set(names)) == len(names) == len(episode.loops):
-        wanted = f"{len(episode.loops)} different names, one a loop"
-        raise ValueError(f"physics['loops'] must be {wanted}, not {names!r:.80}")
 
 
 def as_ticks(positions: NDArray[Any], name: str = "positions") -> NDArray[np.signedinteger[Any]]:
@@ -245,9 +223,7 @@ def as_metres(ticks: NDArray[Any], name: str = "positions") -> NDArray[np.float3
     """Return positions in metres from ticks."""
     if ticks.dtype.kind != "i":
         raise ValueError(f"{name} must be whole ticks, not {ticks.dtype}")
-    metres = np.empty(ticks.shape, dtype=np.float32)
-    np.divide(ticks, TICKS, out=metres, dtype=np.float64, casting="same_kind")  # a buffer at a time
-    return metres
+    return (ticks / TICKS).astype(np.float32)
 
 
 def _differences(ticks: NDArray[Any]) -> NDArray[Any]:
@@ -422,7 +398,7 @@ def load_states(path: str | Path, clouds: Clouds) -> list[TopologicalState]:
     ------
     FileNotFoundError
         When there is no such file.
-    FormatError
+    ValueError
         When the file is damaged, of another format or schema, or of other clouds; the message names the reason.
     """
     header, arrays = load_archive(path, "topokit-states")
