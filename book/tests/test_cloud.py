@@ -476,7 +476,9 @@ def test_a_link_restores_the_view_of_a_sample(cloud: Cloud, chromium: Any) -> No
     cloud.frame.click("#link")
     address = cloud.text("#address")
     # The page copies it after the click has returned.
-    cloud.visit.page.wait_for_function("text => navigator.clipboard.readText().then((copied) => copied === text)", arg=address)
+    cloud.visit.page.wait_for_function(
+        "text => navigator.clipboard.readText().then((copied) => copied === text)", arg=address
+    )
     picture = "[...document.querySelectorAll('canvas')].map((canvas) => canvas.toDataURL())"
     cloud.shown()
     with Visit(chromium, PAGE, asking="#" + address.partition("#")[2]) as visit:
