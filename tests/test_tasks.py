@@ -6,8 +6,6 @@ import dataclasses
 
 import numpy as np
 import pytest
-from scipy.sparse import csr_matrix
-from scipy.sparse.csgraph import dijkstra
 
 pytest.importorskip("pybullet")
 
@@ -26,6 +24,8 @@ from topokit.sim import (
     Task,
 )
 from topokit.sim._path import GripperPath, Via
+from topokit.sim._surface import EdgeGraph
+from topokit.sim._targets import gap
 
 from conftest import DATA, polygon
 
@@ -41,15 +41,6 @@ def ring(centre: np.ndarray, normal_axis: int, radius: float = 0.1) -> np.ndarra
     return np.insert(polygon(24, radius), normal_axis, 0.0, axis=1) + centre
 
 
-def clearance(points: np.ndarray, target: Hook | Hanger | Mannequin) -> float:
-    """The least distance of points from the rods of a target."""
-    gaps = []
-    for a, b, radius in target.rods:
-        share = np.clip((points - a) @ (b - a) / ((b - a) @ (b - a)), 0, 1)
-        gaps.append(np.linalg.norm(points - a - share[:, None] * (b - a), axis=1).min() - radius)
-    return min(gaps)
-
-
 # Targets: a loop around one hangs, a loop beside it or against it does not.
 
 HOOK, HANGER, DUMMY = Hook(), Hanger(), Mannequin()
@@ -58,22 +49,17 @@ HOLDS = [
     (HOOK, "around the tip: not off yet", ring(HOOK.centre_line[-1], 2), True),
     (HOOK, "around the pole", ring(HOOK.seat * [1, 0, 0.5] + [0, HOOK.distance, 0], 2), True),
     (HOOK, "beside it", ring(HOOK.seat + [0.3, 0, 0], 1), False),
-    (HOOK, "before it", ring(HOOK.seat - [0, 0.5, 0], 1), False),
-    (HOOK, "above it, along the arm", ring(HOOK.seat + [0.03, 0, 0.13], 0), False),
     (HOOK, "leaning against it", ring(HOOK.seat + [0.03, 0, 0], 0, 0.3), False),
     (HANGER, "around the near arm", ring(HANGER.seat, 1), True),
     (HANGER, "around the far arm", ring(HANGER.seat + [0, 2 * (HANGER.distance - HANGER.seat[1]), 0], 1), True),
     (HANGER, "around the stem", ring([0, HANGER.distance, HANGER.height + HANGER.stem / 2], 2), True),
     (HANGER, "beside the arm", ring(HANGER.seat + [0.15, 0, 0], 1), False),
     (HANGER, "leaning against both arms", ring([0.03, HANGER.distance, HANGER.height - 0.02], 0, 0.21), False),
-    (HANGER, "before it", ring(HANGER.seat - [0, 0.3, 0], 1), False),
-    (HANGER, "below it, around nothing", ring([0, HANGER.distance, 0.3], 2), False),
     (DUMMY, "around the neck", ring(DUMMY.seat + [0, 0, 0.04], 2), True),
     (DUMMY, "a hem", ring(DUMMY.seat - [0, 0, 0.4], 2, 0.3), True),
     (DUMMY, "a strap of a backpack", ring(DUMMY.shoulders[0], 0), True),
     (DUMMY, "the other strap", ring(DUMMY.shoulders[1], 0), True),
     (DUMMY, "a wreath on the crown", ring(DUMMY.head_centre + [0, 0, 0.11], 2), False),
-    (DUMMY, "before the neck", ring(DUMMY.seat + [0, -0.2, 0.04], 2, 0.12), False),
     (DUMMY, "flat on the chest", ring(DUMMY.seat - [0, 0.12, 0.2], 1), False),
     (DUMMY, "before the shoulder", ring(DUMMY.shoulders[0] + [0.0, -0.2, 0], 0), False),
 ]
@@ -88,7 +74,7 @@ def test_a_target_holds_what_is_around_it():
 def test_targets_stand_on_the_floor_around_their_centre_line(target):
     assert target.centre_line[0, 2] == 0
     assert min(min(a[2], b[2]) for a, b, _ in target.rods) >= 0
-    assert all(clearance(point[None], target) < 0 for point in target.centre_line[1:-1])
+    assert all(gap(point[None], target) < 0 for point in target.centre_line[1:-1])
     moved = type(target)(distance=target.distance + 1)
     np.testing.assert_allclose(moved.seat, target.seat + [0, 1, 0])
 
@@ -138,21 +124,6 @@ def test_a_move_between_two_rests_is_the_minimum_jerk_polynomial():
     np.testing.assert_allclose(path.at(1 + 2 * s)[:, 0, 1], expected, atol=1e-12)
 
 
-def test_the_spline_has_less_jerk_than_its_neighbours():
-    vias = [Via(0, [0, 0, 0]), Via(0.8, [0, 0.5, 0.3]), Via(2, [0, 1, 0])]
-    times = np.linspace(0, 2, 4001)
-    best = GripperPath(vias, SPREAD, 2, 2).at(times)[:, 0]
-
-    def jerk(path):
-        for _ in range(3):
-            path = np.gradient(path, times, axis=0)
-        return (path**2).sum()
-
-    bump = (times * (2 - times)) ** 3 * (times - 0.8)  # keeps places and rests
-    for amplitude in (-0.05, 0.05):
-        assert jerk(best + amplitude * bump[:, None]) > jerk(best)
-
-
 @pytest.mark.parametrize("name", TASKS)
 def test_every_path_is_smooth_slow_random_and_clear_of_the_target(name):
     task = TASKS[name]
@@ -166,21 +137,15 @@ def test_every_path_is_smooth_slow_random_and_clear_of_the_target(name):
     assert paths[0].release == paths[2].release >= 1.4  # all episodes of a task are of one length
     start = garment.vertices + first[0].mean(axis=0) - garment.vertices[garment.grips].mean(axis=0)
     assert start[:, 2].min() > 0.05  # above the floor
-    assert clearance(start, task.target) > 0.01
+    assert gap(start, task.target) > 0.01
 
 
 # Off the script.
 
 
-def along_cloth(garment: Garment) -> float:
-    """The distance between the grips along the edges of a garment."""
-    graph = csr_matrix((garment.edge_lengths, garment.edges.T), shape=(len(garment.vertices),) * 2)
-    return float(dijkstra(graph, directed=False, indices=garment.grips[0])[garment.grips[1]])
-
-
-def scripts(count, prefix=("tote-", "sheet2-", "backpack-")):
+def scripts(count):
     """Tasks with a script and the same script changed."""
-    names = [name for name in TASKS if name.startswith(prefix)]
+    names = [name for name in TASKS if name.startswith(("tote-", "sheet2-", "backpack-"))]
     for i in range(count):
         task = TASKS[names[i % len(names)]]
         garment = task.garment()
@@ -198,12 +163,13 @@ def test_off_script_plans_stay_in_their_bounds():
         assert np.abs(where - task.target.seat).max() < 2.2
         assert np.linalg.norm(np.diff(where, axis=0), axis=2).max() < 0.045  # 4.5 m/s
         assert path.drawn["pace"] <= 1.4
-        assert path.widest < max(1.025 * along_cloth(garment), script.widest + 1e-3)
+        along_cloth = EdgeGraph(garment.vertices, garment.edges).distances(garment.grips)[0, 1]
+        assert path.widest < max(1.025 * along_cloth, script.widest + 1e-3)
         start = turned(garment.vertices, path.table["yaw"][0])
         start = start + where[0].mean(axis=0) - start[garment.grips].mean(axis=0)
         assert start[:, 2].min() > 0.05
         if path.drawn.get("elsewhere"):
-            assert clearance(start, task.target) > 0.3
+            assert gap(start, task.target) > 0.3
         assert np.abs(where - script.at(times)).max() > 0.005
         left = task.off_script(Randomisation.generator(seed, "script"))
         again = left.path(garment, task.target, Randomisation.generator(seed, "path"))
