@@ -206,13 +206,7 @@ class HangEnv(gymnasium.Env[Observation, NDArray[np.float32]]):
         return np.append(np.clip(move, -1, 1), let_go).astype(np.float32)
 
     def episode(self, controller: str = "") -> Episode:
-        """Return what has happened since `reset`, as `simulate` records an episode.
-
-        Parameters
-        ----------
-        controller : str
-            Name of the controller that acted; it is noted in the episode's physics.
-        """
+        """Return what has happened since `reset`, as `simulate` records an episode; its physics name the controller."""
         points, grippers, goals, held = (np.array(column) for column in zip(*self._record, strict=True))
         config = replace(self.config, frames=len(points))
         observed = np.array([frame[farthest_point_sample(frame, self.n_points)[0]] for frame in points])

@@ -127,9 +127,7 @@ def record(run: Run) -> Recording:
     config = run.config
     offset = run.goals[0].mean(axis=0) - garment.vertices[garment.grips].mean(axis=0)
     noise = np.random.default_rng(run.noise)
-    rows: dict[str, list[Any]] = {"points": [], "grippers": [], "stretch": []}
-    if run.cameras:
-        rows["observed"] = []
+    rows: dict[str, list[Any]] = {"points": [], "grippers": [], "stretch": [], "observed": []}
     with World(garment, offset, config) as world:
         world.add_rods(run.rods)
         world.settle(run.goals[0])
@@ -203,6 +201,7 @@ def as_episode(
     if garment.loop_names != wardrobe_names(garment.name, garment.parameters):
         physics["loops"] = list(garment.loop_names)
     physics["stretch"] = dict(zip(("p99", "worst"), recording["stretch"].max(axis=0).tolist(), strict=True))
+    described = [dataclasses.asdict(camera) for camera in cameras]
     versions = {name: metadata.version(name) for name in ("topokit", "pybullet")}
     return Episode(
         points=points,
@@ -219,10 +218,7 @@ def as_episode(
         success=bool(at_rest and task.succeeds(points[-1], garment.named_loops, target)),
         seed=seed,
         dt=config.frame_time,
-        observation={
-            "kind": "cameras" if cameras else "vertices",
-            "cameras": [dataclasses.asdict(camera) for camera in cameras],
-        },
+        observation={"kind": "cameras" if cameras else "vertices", "cameras": described},
         physics=physics,
         provenance={**versions, "machine": platform.machine()},
     )

@@ -14,8 +14,7 @@ from numpy.typing import ArrayLike
 from topokit._geometry import turned
 from topokit._validate import as_ids, as_points, positive
 
-from ._mesh import Surface, held_upright
-from ._surface import Array, Ids, count_components, edge_lengths, half_edges, is_cycle
+from ._surface import Array, Ids, Surface, count_components, edge_lengths, half_edges, held_upright, is_cycle
 
 if TYPE_CHECKING:
     import trimesh
@@ -133,10 +132,6 @@ class Garment:
 
         They are the borders of the mesh. Where these do not generate all classes of loops, they are representative cycles of
         the persistence of distances along the mesh. Each is a closed cycle (L,) of vertex ids, as `from_mesh` takes them.
-
-        Parameters
-        ----------
-        mesh : path or trimesh.Trimesh
         """
         return Surface(mesh).loops()
 
@@ -172,10 +167,5 @@ class Garment:
         return float((np.linalg.norm(np.cross(b - a, c - a), axis=1) / 2).sum())
 
     def turned(self, degrees: float) -> Garment:
-        """Return the garment turned about the z axis, from x towards y.
-
-        Parameters
-        ----------
-        degrees : float
-        """
+        """Return the garment turned by degrees about the z axis, from x towards y."""
         return replace(self, vertices=turned(self.vertices, degrees)) if degrees else self
