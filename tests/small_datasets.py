@@ -67,15 +67,14 @@ def part_of(dataset: Dataset, numbers: Iterable[int], out: Path) -> Dataset:
     return Dataset(out)
 
 
-def command(*arguments: str | Path, site: Path | None = None) -> subprocess.Popen[str]:
-    """Start a topokit command; modules in `site`, such as sitecustomize, come first in all its processes."""
-    path = os.pathsep.join(map(str, filter(None, [site, *sys.path])))
+def command(*arguments: str | Path) -> subprocess.Popen[str]:
+    """Start a topokit command in a session of its own."""
     return subprocess.Popen(
         [sys.executable, "-m", "topokit", *map(str, arguments)],
         stdout=subprocess.PIPE,
         stderr=subprocess.PIPE,
         text=True,
-        env={**os.environ, "PYTHONPATH": path},
+        env={**os.environ, "PYTHONPATH": os.pathsep.join(sys.path)},
         start_new_session=True,
         preexec_fn=hear_ctrl_c,
     )

@@ -10,10 +10,9 @@ import pytest
 
 from topokit import track
 from topokit._archive import load_archive, save_archive
-from topokit.data import Dataset, DatasetConfig, _label, label_dataset, make_episode
-from topokit.data._dataset import Record
+from topokit.data import Dataset, DatasetConfig, _label, label_dataset
+from topokit.data._dataset import LABELS_KIND, Record
 from topokit.data._folder import write_json
-from topokit.data._labels import KIND
 from topokit.io import state_arrays
 
 from small_datasets import OPTIONS, SEED, TINY, contents, labelled, part_of
@@ -30,17 +29,6 @@ def made(tmp_path_factory):
 @pytest.fixture
 def copy(made, tmp_path):
     return shutil.copytree(made, tmp_path / "copy")
-
-
-def test_an_episode_is_what_was_simulated(made):
-    episode, found = make_episode(TINY, SEED, 3), Dataset(made)[3]
-    for name in ("points", "observed", "actions", "grippers", "centre_line"):
-        assert np.abs(getattr(found, name) - getattr(episode, name)).max() < 0.51e-4, name
-    for name in ("held", "faces"):
-        assert (getattr(found, name) == getattr(episode, name)).all()
-    assert [loop.tolist() for loop in found.loops] == [loop.tolist() for loop in episode.loops]
-    for name in ("garment", "target", "task", "success", "seed", "dt", "observation", "physics"):
-        assert getattr(found, name) == getattr(episode, name), name
 
 
 def test_what_a_dataset_says_of_itself(made):
@@ -164,9 +152,9 @@ def flip(path):
 
 def relabel(folder, change):
     path = folder / "labels/full/00000002.npz"
-    header, arrays = load_archive(path, KIND)
+    header, arrays = load_archive(path, LABELS_KIND)
     change(header, arrays)
-    save_archive(path, KIND, header, arrays)
+    save_archive(path, LABELS_KIND, header, arrays)
 
 
 @pytest.mark.parametrize(

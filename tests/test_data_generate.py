@@ -8,7 +8,6 @@ import errno
 import json
 import os
 import signal
-import time
 
 import psutil
 import pytest
@@ -121,20 +120,9 @@ def test_killed_in_every_way_it_goes_on(undisturbed, tmp_path, monkeypatch, star
     _, said = process.communicate(timeout=60)
     assert process.returncode == 130, said
     assert "Traceback" not in said
+    assert not list(folder.glob(".*"))  # what was half written is removed
     assert main([*map(str, arguments)]) == 0
     assert contents(folder) == contents(undisturbed)
-
-
-def test_what_a_stopped_process_was_writing_is_removed(tmp_path, monkeypatch):
-    def stopped(*_, **__):
-        (tmp_path / "data" / ".00000000.npz.1234.part").touch()
-        raise KeyboardInterrupt
-        yield
-
-    monkeypatch.setattr(_generate, "in_fresh_processes", stopped)
-    with pytest.raises(KeyboardInterrupt):
-        generate_dataset(TINY, tmp_path / "data", 1, SEED, progress=False)
-    assert [path.name for path in (tmp_path / "data").iterdir()] == ["dataset.json"]
 
 
 @pytest.mark.parametrize(
@@ -186,15 +174,6 @@ def test_a_crash_is_recorded_and_tried_again_when_asked(tmp_path, outcomes):
     assert generate_dataset(TINY, tmp_path, 4, SEED, progress=False).counts == {"failed": 2}
 
 
-def test_a_hang_is_stopped(tmp_path):
-    slow = dataclasses.replace(TINY, simulation=dataclasses.replace(TINY.simulation, settle=1000.0))
-    start = time.monotonic()
-    dataset = generate_dataset(slow, tmp_path, 1, SEED, time_limit=1.0, progress=False)
-    assert time.monotonic() - start < 60
-    assert dataset.counts == {"failed": 1}
-    assert "stopped after 1 s" in dataset.failures[0].reason
-
-
 def test_what_is_not_physical_is_recorded_as_rejected(tmp_path):
     strict = dataclasses.replace(TINY, simulation=dataclasses.replace(TINY.simulation, max_stretch=1.00001))
     dataset = generate_dataset(strict, tmp_path, 2, SEED, progress=False)
@@ -233,6 +212,6 @@ def test_a_mesh_of_ones_own_from_a_file_to_windows(tmp_path):
 def test_nothing_is_written_for_a_mesh_that_cannot_be_hung(tmp_path):
     bag = {"file": str(tmp_path / "bag.obj"), **write_cloth(tmp_path / "bag.obj"), "loops": {}}
     config = DatasetConfig.from_json({"tasks": {"bag-hook": 1}, "meshes": {"bag": bag}})
-    with pytest.raises(ValueError, match="the bag may hang; it has none"):
+    with pytest.raises(ValueError, match="the bag may hang"):
         generate_dataset(config, tmp_path / "data", 1, 0, progress=False)
     assert not (tmp_path / "data").exists()

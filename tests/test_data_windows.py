@@ -11,7 +11,7 @@ import torch
 
 from topokit import track
 from topokit.data import Dataset, WindowDataset
-from topokit.io import load_episode, save_episode
+from topokit.io import save_episode
 from topokit.sampling import farthest_point_sample
 
 from conftest import polygon
@@ -64,19 +64,12 @@ def resampled(clouds, n):
     return np.array([c[farthest_point_sample(w, n, None)[0]] for c, w in zip(clouds, whole, strict=True)])
 
 
-def seen_anew(dataset, out, change):
-    """A part of a dataset, episode 0 alone, with another observation."""
-    part = part_of(dataset, [0], out)
-    path = part.path_of(0)
-    episode = load_episode(path)
-    save_episode(path, dataclasses.replace(episode, observed=change(episode.observed)))
-    return part
-
-
 def test_the_order_of_the_mesh_says_nothing(dataset, tmp_path):
     """Whichever vertex is the first: the same points in the same order."""
-    rng = np.random.default_rng(0)
-    mixed = seen_anew(dataset, tmp_path / "mixed", lambda clouds: clouds[:, rng.permutation(clouds.shape[1])])
+    mixed = part_of(dataset, [0], tmp_path / "mixed")
+    episode = dataset[0]
+    order = np.random.default_rng(0).permutation(episode.observed.shape[1])
+    save_episode(mixed.path_of(0), dataclasses.replace(episode, observed=episode.observed[:, order]))
     options = {"episodes": [0], "history": H, "horizon": K, "n_points": 30}
     one, other = (WindowDataset(d, **options)[5]["clouds"] for d in (dataset, mixed))
     assert one.equal(other)
@@ -205,17 +198,6 @@ def test_what_is_done_to_a_window_does_not_reach_the_next(windows):
     for part in windows[7].values():
         part.add_(1) if part.dtype != torch.bool else part.logical_not_()
     assert all(torch.equal(part, before[name]) for name, part in windows[7].items())
-
-
-@pytest.mark.parametrize("name", ["full", "observed-40"])
-def test_it_is_the_same_whether_an_observation_is_stored_as_ids_or_as_positions(dataset, tmp_path, name):
-    """Vertices in another type are no vertices to `save_episode`: it stores positions, as of what cameras saw."""
-    positions = seen_anew(dataset, tmp_path / "part", lambda clouds: clouds.astype(np.float64))
-    with np.load(positions.path_of(0)) as one, np.load(dataset.path_of(0)) as other:
-        assert ("observed" in one, "observed" in other) == (True, False)
-    options = {"labels": name, "history": H, "horizon": K, "n_points": 60, "slots": 3}
-    expected, found = (WindowDataset(d, [0], **options)[3] for d in (dataset, positions))
-    assert all(torch.equal(part, expected[key]) for key, part in found.items())
 
 
 def test_it_travels_to_spawned_processes_without_its_episodes(windows):

@@ -151,6 +151,11 @@ def test_states_of_other_clouds_are_refused(tmp_path):
 # -- files that are damaged, or something else --------------------------------------------------------------------------------
 
 
+def saved(path: Path) -> Path:
+    """Write states or an episode, as the name of the file says."""
+    return save_states(path, some_states()) if path.name == "states.npz" else save_episode(path, small_episode())
+
+
 def content(path: Path) -> object:
     if path.name == "states.npz":
         return [state.as_dict() for state in load_states(path, [polygon(20)] * 2)]
@@ -161,8 +166,7 @@ def content(path: Path) -> object:
 @pytest.mark.parametrize("name", ["ring.npz", "states.npz"])
 def test_a_flipped_bit_is_refused_or_harmless(tmp_path, name):
     """The CRC-32 of every entry covers the content; what is left are the archive's own notes, such as time stamps."""
-    path = tmp_path / name
-    save_states(path, some_states()) if name == "states.npz" else save_episode(path, small_episode())
+    path = saved(tmp_path / name)
     raw, whole = path.read_bytes(), content(path)
     rng = np.random.default_rng(0)
     places = rng.choice(len(raw), 600, replace=False).tolist()
@@ -224,53 +228,42 @@ def test_pickles_and_other_headers_are_refused(tmp_path):
 # -- whole archives whose parts do not fit ------------------------------------------------------------------------------------
 
 
+FAULTS_OF_EPISODES = [
+    ("points", np.zeros((5, 12, 3)), "points .* float64"),
+    ("held", np.ones(5), "held .* float64"),
+    ("faces", np.zeros(6, np.int32), r"faces .* \(6,\)"),
+    ("centre_line", np.zeros((2, 2), np.int16), "centre_line"),
+    ("observed_ids", np.full((5, 6), 12, np.uint16), "observed_ids .* 12"),
+    ("observed_ids", np.zeros((4, 6), np.uint16), "observed|shape"),
+    ("observed_ids", np.zeros(5, np.uint16), "array"),
+    ("loops", [[0, 1.5]], "loop"),
+    ("loops", [[0, 12]], r"loops\[0\] .* 12"),
+    ("loops", 3, "int"),
+    ("frames", 6, "frames"),
+    ("dt", "0.04", "dt must be"),
+    ("extra", 1, "extra"),
+]
+FAULTS_OF_STATES = [
+    ("id", np.zeros((2, 1)), "id is of type float64"),
+    ("values", np.zeros((2, 1, 6)), "values"),
+    ("simplices", np.zeros((3, 1, 22), np.uint16), "simplices"),
+    ("simplices", np.full((2, 1, 22), 65535, np.uint16), "65535"),
+    ("values", None, "'values'"),
+]
+
+
 @pytest.mark.parametrize(
-    ("name", "value", "says"),
-    [
-        ("points", np.zeros((5, 12, 3)), "points .* float64"),
-        ("held", np.ones(5), "held .* float64"),
-        ("faces", np.zeros(6, np.int32), r"faces .* \(6,\)"),
-        ("centre_line", np.zeros((2, 2), np.int16), "centre_line"),
-        ("observed_ids", np.full((5, 6), 12, np.uint16), "observed_ids .* 12"),
-        ("observed_ids", np.zeros((4, 6), np.uint16), "observed|shape"),
-        ("observed_ids", np.zeros(5, np.uint16), "array"),
-        ("loops", [[0, 1.5]], "loop"),
-        ("loops", [[0, 12]], r"loops\[0\] .* 12"),
-        ("loops", 3, "int"),
-        ("frames", 6, "frames"),
-        ("dt", "0.04", "dt must be"),
-        ("extra", 1, "extra"),
-    ],
+    ("file", "name", "value", "says"),
+    [*(("ring.npz", *fault) for fault in FAULTS_OF_EPISODES), *(("states.npz", *fault) for fault in FAULTS_OF_STATES)],
 )
-def test_parts_of_an_episode_that_do_not_fit_are_named(tmp_path, name, value, says):
-    path = save_episode(tmp_path / "ring.npz", small_episode())
-    header, arrays = load_archive(path, EPISODE)
-    if isinstance(value, np.ndarray):
+def test_parts_that_do_not_fit_are_named(tmp_path, file, name, value, says):
+    path = saved(tmp_path / file)
+    kind = STATES if file == "states.npz" else EPISODE
+    header, arrays = load_archive(path, kind)
+    if name in arrays or isinstance(value, np.ndarray):
         arrays[name] = value
     else:
         header[name] = value
-    save_archive(path, EPISODE, header, arrays)
+    save_archive(path, kind, header, {name: array for name, array in arrays.items() if array is not None})
     with pytest.raises(FormatError, match=says):
-        load_episode(path)
-
-
-@pytest.mark.parametrize(
-    ("name", "value", "says"),
-    [
-        ("id", np.zeros((2, 1)), "id is of type float64"),
-        ("values", np.zeros((2, 1, 6)), "values"),
-        ("simplices", np.zeros((3, 1, 22), np.uint16), "simplices"),
-        ("simplices", np.full((2, 1, 22), 65535, np.uint16), "65535"),
-        ("values", None, "'values'"),
-    ],
-)
-def test_parts_of_states_that_do_not_fit_are_named(tmp_path, name, value, says):
-    path = save_states(tmp_path / "states.npz", some_states())
-    header, arrays = load_archive(path, STATES)
-    if value is None:
-        arrays.pop(name)
-    else:
-        arrays[name] = value
-    save_archive(path, STATES, header, arrays)
-    with pytest.raises(FormatError, match=says):
-        load_states(path, [polygon(20)] * 2)
+        content(path)

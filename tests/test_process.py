@@ -90,8 +90,8 @@ def test_a_script_is_not_run_again_nor_a_module_of_the_working_directory(tmp_pat
 def test_a_simulation_that_hangs_is_stopped():
     apron = WARDROBE["apron"](spacing=0.05, strap_width=0.05)
     config = SimulationConfig(frames=2, steps_per_frame=3_000_000, settle=0)
-    with pytest.raises(SimulationError, match="stopped after 20 s"):
-        simulate(apron, config=config, n_observed=50, time_limit=20)
+    with pytest.raises(SimulationError, match="stopped after 5 s"):
+        simulate(apron, config=config, n_observed=50, time_limit=5)
 
 
 def test_ctrl_c_stops_the_processes(tmp_path):

@@ -1,4 +1,7 @@
-"""Read a dataset: its episodes, its labels, and its parts for training and test. Taught in chapter 11."""
+"""Read a dataset: its episodes, its labels, and its parts for training and test. Taught in chapter 11.
+
+Labels are the tracked loops in every frame of every episode, stored as `topokit.io.state_arrays` describes.
+"""
 
 from __future__ import annotations
 
@@ -13,17 +16,17 @@ import numpy as np
 from numpy.typing import NDArray
 from pydantic import Field
 
-from topokit._archive import load_header
+from topokit._archive import FormatError, load_archive, load_header
 from topokit._config import checked, load
-from topokit.io import EPISODE_KIND, Episode, load_episode, states_of
+from topokit.io import EPISODE_KIND, Episode, check_states, load_episode, states_of
 from topokit.seqph import TopologicalState
 
 from ._folder import NumberedFiles
-from ._labels import ABOUT as ABOUT_LABELS
-from ._labels import Labels
 from ._recipe import DatasetConfig
 
 ABOUT = "dataset.json"
+ABOUT_LABELS = "labels.json"
+LABELS_KIND = "topokit-labels"
 Ids = NDArray[np.int64]
 NotNegative = Annotated[int, Field(ge=0)]
 
@@ -56,6 +59,43 @@ class Record:
     success: bool = False
     frames: NotNegative = 0
     physics: Mapping[str, Any] = field(default_factory=dict)
+
+
+@checked
+class LabelSettings:
+    """The settings with which a set of labels was made."""
+
+    schema: Literal[2]
+    observation: Literal["full", "observed", "camera"]  #: the points that were tracked
+    #: number of first points of an observation that were tracked; None for all
+    n_points: Annotated[int, Field(ge=4)] | None
+    options: Mapping[str, Any]  #: the options of the tracker, `topokit.SeqPH`
+    versions: Mapping[str, str]  #: the versions of the packages that made the labels
+
+
+class Labels(NumberedFiles):
+    """One set of labels of a dataset, in a folder beside its episodes: `Dataset.labels`."""
+
+    def __init__(self, folder: Path) -> None:
+        super().__init__(folder, ABOUT_LABELS)
+        self.settings = load(LabelSettings, folder / ABOUT_LABELS)  #: the settings with which the labels were made
+        self.options = dict(self.settings.options)  #: the options of the tracker
+
+    def cloud(self, episode: Episode) -> NDArray[np.float32]:
+        """Return the cloud that was tracked in an episode, (T, n, 3) metres: all vertices, or the first observed points."""
+        if self.settings.observation == "full":
+            return episode.points
+        return episode.observed[:, : self.settings.n_points]
+
+    def arrays(self, number: int, clouds: NDArray[Any]) -> dict[str, NDArray[Any]]:
+        """Return the arrays of labels of an episode (`topokit.io.state_arrays`), given its cloud (T, n, 3) that was tracked."""
+        path = self.path_of(number)
+        _, arrays = load_archive(path, LABELS_KIND)
+        try:
+            check_states(arrays, clouds)
+        except (KeyError, ValueError) as error:
+            raise FormatError(f"{path}: {error}; remove the file and label again") from error
+        return arrays
 
 
 class Dataset(NumberedFiles):

@@ -16,9 +16,8 @@ from topokit._archive import save_archive
 from topokit.io import state_arrays
 from topokit.seqph import SeqPH, track
 
-from ._dataset import Dataset
+from ._dataset import ABOUT_LABELS, LABELS_KIND, Dataset, Labels, LabelSettings
 from ._folder import archive_path, begin, versions_of
-from ._labels import ABOUT, KIND, Labels, LabelSettings
 
 
 def label_dataset(
@@ -79,7 +78,7 @@ def label_dataset(
     about["versions"] = versions_of("numpy", "scipy")
     LabelSettings(**about)
     target = dataset.folder / "labels" / (observation if n_points is None else f"{observation}-{n_points}")
-    begin(target, ABOUT, about)
+    begin(target, ABOUT_LABELS, about)
 
     # The persistence of all frames of an episode is computed by threads, and the file is written in one piece.
     labels = Labels(target)
@@ -91,5 +90,5 @@ def label_dataset(
         for part in ("values", "parameters"):
             arrays[part] = arrays[part].astype(np.float32)
         described = {part: getattr(episode, part) for part in ("task", "garment", "target", "seed", "success")}
-        save_archive(archive_path(target, number), KIND, {**described, "frames": len(states)}, arrays)
+        save_archive(archive_path(target, number), LABELS_KIND, {**described, "frames": len(states)}, arrays)
     return Labels(target)
