@@ -168,10 +168,6 @@ def test_sizes_are_what_is_measured():
     tote = WARDROBE["tote"](width=0.5, height=0.3, depth=0.12)
     np.testing.assert_allclose(np.ptp(tote.vertices, axis=0)[:2], [0.5, 0.12], atol=0.01)
     assert tote.vertices[:, 2].min() == pytest.approx(-0.3)
-    apron = WARDROBE["apron"](loops=2, waist_strap_length=1.1)
-    waist = apron.vertices[apron.loops[1]]
-    behind = waist[waist[:, 1] > 1e-9]
-    assert np.linalg.norm(np.diff(behind, axis=0), axis=1).sum() == pytest.approx(1.1, abs=2.5 * 0.03)
     sheet = WARDROBE["sheet"](hole_radius=0.1, hole_drop=0.2)
     np.testing.assert_allclose(np.linalg.norm(sheet.vertices[sheet.loops[0]] + [0, 0, 0.2], axis=1), 0.1, atol=1e-3)
 
@@ -226,12 +222,10 @@ TWO_PARTS = np.column_stack([np.vstack([polygon(3), polygon(3) + 5]), np.zeros(6
         ({"faces": np.array([[0, 1, 2], [0, 2, 4]])}, "vertex 4"),
         ({"faces": np.array([[0, 1, 2], [0, 2, 2]])}, r"edge \[2, 2\]"),
         ({"faces": np.array([[0, 1, 2]])}, "2 components"),
-        ({"vertices": np.full((4, 3), np.nan)}, "vertices"),
         ({"vertices": np.zeros((4, 2))}, "vertices"),
         ({"vertices": np.array([[0, 0, 0], [0, 0, 0], [1, 1, 0], [0, 1, 0]], float)}, r"edge \[0, 1\]"),
         ({"vertices": TWO_PARTS, "faces": np.array([[0, 1, 2], [3, 4, 5]]), "loops": ()}, "2 components"),
         ({"loops": (np.array([0, 1, 3]),)}, r"loops\[0\].*\[0, 1, 3\]"),
-        ({"loops": (np.array([0, 1]),)}, r"loops\[0\]"),
         ({"grips": np.array([1, 1])}, "grips"),
         ({"loop_names": ("neck", "hem")}, "loop_names"),
         ({"loops": (np.arange(4), np.arange(4)), "loop_names": ("neck", "neck")}, "loop_names"),

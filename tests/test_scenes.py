@@ -57,29 +57,18 @@ def test_targets_vary_and_do_not_get_thin():
     assert all(target.distance == 0.3 for target in [*hooks, *hangers, *mannequins])
 
 
-def ribbon(*, length: float = 1.0, spacing: float = 0.1) -> Garment:
-    """A strip whose vertices grow faster with its length than its spacing makes up for."""
-    n = max(3, round(12 * length**4 / (10 * spacing)))
-    x = np.linspace(0, length, n)
-    i = np.arange(n - 1)
-    vertices = np.concatenate([np.column_stack([x, 0 * x, 0 * x]), np.column_stack([x, 0 * x, 0 * x - 0.1])])
-    faces = np.concatenate([np.column_stack([i, i + 1, i + n]), np.column_stack([i + 1, i + 1 + n, i + n])])
-    border = np.concatenate([np.arange(n), np.arange(2 * n - 1, n - 1, -1)])
-    sizes = {"length": length, "spacing": spacing}
-    return Garment("ribbon", vertices, faces, (border,), np.array([0, n - 1]), sizes, loop_names=("edge",))
+def finer(*, width: float, spacing: float, **sizes: float) -> Garment:
+    """A sheet whose vertices grow faster with its width than its spacing makes up for."""
+    sheet = WARDROBE["sheet"](width=width, spacing=spacing * (0.6 / width) ** 2, **sizes)
+    return dataclasses.replace(sheet, parameters={**sheet.parameters, "spacing": spacing})
 
 
 def test_varied_garments_have_no_more_vertices_than_allowed():
-    own = ribbon()
-    drawn_again = 0
-    for seed in range(200):
-        garment = varied_garment(ribbon, own, 0.5, np.random.default_rng(seed))
-        for name in ("vertices", "faces"):
-            assert len(getattr(garment, name)) <= 1.25 * len(getattr(own, name))
+    own = finer(**WARDROBE["sheet"](spacing=0.08, hole_radius=0.12, hole_drop=0.22).parameters)
+    for seed in range(20):
+        garment = varied_garment(finer, own, 0.5, np.random.default_rng(seed))
+        assert len(garment.vertices) <= 1.25 * len(own.vertices)
         assert len(garment.loops[0]) <= 1.25 * len(own.loops[0])
-        first = np.exp(np.log(1.5) * np.random.default_rng(seed).uniform(-1, 1, 1)[0])
-        drawn_again += garment.parameters["length"] != pytest.approx(first)
-    assert drawn_again > 20
 
 
 def test_scenes_repeat_and_each_draw_leaves_the_others():
