@@ -7,7 +7,7 @@ relaxed and triangulated. Two pieces sewn together share the vertices of their s
 from __future__ import annotations
 
 import itertools
-from collections.abc import Callable, Sequence
+from collections.abc import Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
@@ -29,10 +29,6 @@ class Panel:
     faces: Ids  # (f, 3)
     sides: tuple[Ids, ...]  # vertex ids along each polyline of the outline, both ends included
     holes: tuple[Ids, ...]  # vertex ids around each hole, once
-
-    def placed(self, place: Callable[[Array], Array]) -> Panel:
-        """Return the panel with its vertices moved by `place`, (n, 3) to (n, 3)."""
-        return replace(self, vertices=place(self.vertices))
 
     def mirrored(self) -> Panel:
         """Return the panel on the other side of the plane y = 0."""
@@ -192,7 +188,7 @@ def inflate(panel: Panel, seams: Sequence[int], depth: float, top: float = np.in
     height = np.zeros(n)
     height[free] = spsolve(matrix[free][:, free], pressure[free])
     height = depth * np.sqrt(height / height.max())
-    return panel.placed(lambda vertices: vertices - height[:, None] * [0, 1, 0])
+    return replace(panel, vertices=panel.vertices - height[:, None] * [0, 1, 0])
 
 
 def _without_chords(panel: Panel, seam: Ids) -> Panel:

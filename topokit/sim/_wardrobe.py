@@ -1,7 +1,7 @@
 """The wardrobe: garments that are cut from flat patterns, placed in space and sewn together.
 
-Idea: a pattern is drawn as polylines and curves in the plane (x, z). `cut` fills it with triangles, `inflate` and `placed` take
-it into space, and `sew` joins pieces along their seams. A border keeps the order in which it is drawn: the border of an opening
+Idea: a pattern is drawn as polylines and curves in the plane (x, z). `cut` fills it with triangles, which are bent or inflated
+into space, and `sew` joins pieces along their seams. A border keeps the order in which it is drawn: the border of an opening
 is a true loop. Sizes are in metres, angles in degrees; sizes that do not fit each other are refused before anything is cut.
 """
 
@@ -9,6 +9,7 @@ from __future__ import annotations
 
 import functools
 from collections.abc import Callable, Mapping, Sequence
+from dataclasses import replace
 from typing import Any
 
 import numpy as np
@@ -80,8 +81,8 @@ def apron(
     # The waist strap closes behind. Its loop runs along the strap from the right to the left, and back across the apron.
     around = Arch.of_length(body_width, waist_strap_length, "waist_strap_length")
     strap, _, high, start, end = band([waist_strap_length], [waist_strap_width], spacing)
-    share = strap.vertices[:, 0] / waist_strap_length
-    cloth = strap.placed(lambda v: np.column_stack([around.points(share), waist + v[:, 2]]))
+    x, y = around.points(strap.vertices[:, 0] / waist_strap_length).T
+    cloth = replace(strap, vertices=np.column_stack([x, y, waist + strap.vertices[:, 2]]))
     ends = [(0, front.sides[1], 1, start), (0, front.sides[5][::-1], 1, end)]
     vertices, faces, (_, ids) = sew([front, cloth], ends)
     behind = ids[high]
@@ -245,10 +246,9 @@ def sheet(
     rings = [circle(place, -hole_drop, hole_radius) for place in places]
     panel = cut(polyline((-half, low), (half, low), (half, 0), (-half, 0), (-half, low)), rings, spacing)
     grips = np.array([panel.sides[3][0], panel.sides[2][0]])
-    names = tuple(f"hole {i + 1}" for i in range(holes))
-    if holes == 1:
-        return Garment("sheet", panel.vertices, panel.faces, panel.holes, grips, sizes, ("hole",))
-    return Garment(f"sheet{holes}", panel.vertices, panel.faces, panel.holes, grips, sizes, names)
+    name = "sheet" if holes == 1 else f"sheet{holes}"
+    names = ("hole",) if holes == 1 else tuple(f"hole {i + 1}" for i in range(holes))
+    return Garment(name, panel.vertices, panel.faces, panel.holes, grips, sizes, names)
 
 
 def tote(
@@ -315,8 +315,8 @@ def _bag(sizes: Sizes, holes: Sequence[Sequence[Array]]) -> tuple[Array, Ids, li
     arch = Arch.of_length(width, handle_length, "handle_length")
     strap, low, _, start, end = band([handle_length], [handle_width / 2, handle_width / 2], spacing)
     grips = strap.nearest(np.column_stack([handle_length * np.array([1 / 3, 2 / 3]), [-handle_width / 2] * 2]))
-    over = arch.points(strap.vertices[:, 0] / handle_length)
-    cloth = strap.placed(lambda v: np.column_stack([over[:, 0], v[:, 2] + handle_width / 2, over[:, 1]]))
+    x, z = arch.points(strap.vertices[:, 0] / handle_length).T
+    cloth = replace(strap, vertices=np.column_stack([x, strap.vertices[:, 2] + handle_width / 2, z]))
     # Sew the panels along sides and bottom, and half of each end of the handle to either panel.
     half_end = len(start) // 2
     seams = [(0, panel.sides[i], 1, panel.sides[i]) for i in range(3)]
@@ -367,28 +367,26 @@ def backpack(
     back = cut(outline, [hole, [mirror(line) for line in hole]], spacing, [middle, mirror(middle)])
     held = to_the_right(arch.points([0.6]))
     grips = back.nearest(np.concatenate([held * [-1, 1], held]))
-    back = back.placed(lambda v: _folded(v, half, np.radians(strap_angle)))
+    # What lies beyond the sides of the back is folded.
+    x, y, z = back.vertices.T
+    beyond = np.maximum(np.abs(x) - half, 0)
+    x = np.sign(x) * (np.minimum(np.abs(x), half) + beyond * np.cos(np.radians(strap_angle)))
+    back = replace(back, vertices=np.column_stack([x, y + beyond * np.sin(np.radians(strap_angle)), z]))
     # The gusset, a band around three sides of the box, stands upright between back and front.
     edge = chain(back.sides[0][::-1], back.sides[-1][::-1], back.sides[-2][::-1])
     gusset, low_edge, high_edge, *_ = band([box_height, width, box_height], [depth], spacing)
     corners = np.array([[half, rim], [half, low], [-half, low], [-half, rim]])
     at = np.cumsum([0, box_height, width, box_height])
     x, z = (np.interp(gusset.vertices[:, 0], at, corners[:, i]) for i in range(2))
-    sides = gusset.placed(lambda v: np.column_stack([x, v[:, 2], z]))
+    sides = replace(gusset, vertices=np.column_stack([x, gusset.vertices[:, 2], z]))
     front = cut(polyline((-half, rim), (-half, low), (half, low), (half, rim), (-half, rim)), [], spacing)
     front_edge = chain(*(front.sides[i] for i in range(3)))[::-1]
-    front = inflate(front, (0, 1, 2), depth / 4).placed(lambda v: v - [0, depth, 0])
+    front = inflate(front, (0, 1, 2), depth / 4)
+    front = replace(front, vertices=front.vertices - [0, depth, 0])
     seams = [(2, edge, 1, high_edge), (0, front_edge, 1, low_edge)]
     vertices, faces, (*_, a) = sew([front, sides, back], seams)
     straps = (a[back.holes[1]], a[back.holes[0]])
     return Garment("backpack", vertices, faces, straps, a[grips], sizes, ("strap 1", "strap 2"))
-
-
-def _folded(vertices: Array, half: float, angle: float) -> Array:
-    """Return vertices of which those beyond |x| = `half` are folded towards +y by an angle in radians."""
-    beyond = np.maximum(np.abs(vertices[:, 0]) - half, 0)
-    x = np.sign(vertices[:, 0]) * (np.minimum(np.abs(vertices[:, 0]), half) + beyond * np.cos(angle))
-    return np.column_stack([x, vertices[:, 1] + beyond * np.sin(angle), vertices[:, 2]])
 
 
 def net(
@@ -430,8 +428,8 @@ def scarf(*, spacing: float = 0.03, length: float = 1.3, width: float = 0.26) ->
     angle = np.linspace(0, 2 * np.pi, 2881)
     oval = np.column_stack([-np.sin(angle), 2 * (np.cos(angle) - 1)])
     oval *= length / arc_length(oval)[-1]
-    around = points_at(oval, panel.vertices[:, 0])
-    cloth = panel.placed(lambda v: np.column_stack([around[:, 0], v[:, 2] + width / 2, around[:, 1]]))
+    x, z = points_at(oval, panel.vertices[:, 0]).T
+    cloth = replace(panel, vertices=np.column_stack([x, panel.vertices[:, 2] + width / 2, z]))
     vertices, faces, (ids,) = sew([cloth], [(0, start, 0, end)])
     held = [int(np.argmin(np.abs(panel.vertices[low, 0] / length - at))) for at in (1 / 16, 15 / 16)]
     return Garment("scarf", vertices, faces, (ids[low[:-1]],), ids[low[held]], sizes, ("neck",))
