@@ -13,7 +13,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from topokit._geometry import angle, turned
+from topokit._geometry import angle
 from topokit.control import Servo
 from topokit.control._opening import lies_flat
 from topokit.linking import close_far, curve_centroid, linking_number
@@ -42,7 +42,6 @@ class PullOver(Servo):
         rods = np.array(observation["rods"], np.float64)
         if self.reason or not observation["held"]:
             return np.zeros(7, np.float32)
-        self._frame += 1
         self._follow(points, grippers, line)
         # The head is the highest rod, and the shoulders are the two that reach farthest sideways.
         head = rods[rods[:, 5].argmax()]
@@ -53,15 +52,14 @@ class PullOver(Servo):
     def _observe_cloud(self, points: Array) -> None:
         """Track the loops of a new cloud, and measure the cloth."""
         loops = self._tracker.update(np.unique(points, axis=0)).loops
-        self._loops = [self._to_gripper_frame(loop.cycle_points) for loop in loops]
-        self._length = -float(self._to_gripper_frame(points)[:, 2].min())
+        self._loops = [self._cloud_frame.to_grippers(loop.cycle_points) for loop in loops]
+        self._length = -float(self._cloud_frame.to_grippers(points)[:, 2].min())
         for loop in self._loops:
             if lies_flat(loop):
                 self._centre = 0.9 * self._centre + 0.1 * curve_centroid(loop) * [1, 1, 0]
 
     def _onward(self, line: Array, head: float, shoulders: Array, grippers: Array) -> NDArray[np.float32]:
         """Return the action that brings the middle of the tube nearer to its stop, or that lets go."""
-        options = self.options
         stop = self._stop
         here = self._to_world(self._centre[None])[0]
         gap = self._place_of(stop, here, line) - here
@@ -69,20 +67,16 @@ class PullOver(Servo):
         facing = 0.0
         if stop != "up":
             facing = (angle(grippers[1] - grippers[0], shoulders) + 90) % 180 - 90
-        arrived = np.linalg.norm(gap) < options.near and abs(facing) < options.facing
+        arrived = self._is_near(gap, facing)
         # Let go, go on to the next stop, or begin again at the first one.
         worn = any(_is_around_neck(self._to_world(loop), line, head) for loop in self._loops)
         self._around = self._around + 1 if worn else 0
         self._waited += 1
-        if stop == "down" and self._around >= options.sure and (arrived or self._waited > self._patience):
+        if stop == "down" and self._around >= self.options.sure and (arrived or self._waited > self._patience):
             return np.eye(7, dtype=np.float32)[6]
         if (arrived and stop != "down") or self._waited > 2 * self._patience:
             self._go_on()
-        # Make a share of the missing move and turn, no faster than the stop allows.
-        move = options.gain * gap
-        move *= min(1.0, self.SPEEDS[stop] * self.max_step / max(float(np.linalg.norm(move)), 1e-9))
-        turn = np.clip(options.gain * facing, -options.turn, options.turn)
-        return self._action_towards(here + turned(self._goals - here, turn) + move, grippers)
+        return self._approach(here, gap, facing, self.SPEEDS[stop], grippers)
 
     def _go_on(self) -> None:
         """Go on to the next stop, or begin again at the first one."""

@@ -16,8 +16,8 @@ Array = NDArray[np.float64]
 class Arm(NamedTuple):
     """The part of a target that a loop is put over: it runs sideways, and a tip rises from its end."""
 
-    start: Array  # (3,) the place where it begins
-    end: Array  # (3,) the place where it ends
+    start: Array  # (3,)
+    end: Array  # (3,)
     tip: Array  # (3,) the end of the tip
     out: Array  # (3,) unit, level: the direction in which it points
     reach: float  # metres along `out`

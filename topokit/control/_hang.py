@@ -2,8 +2,8 @@
 
 from __future__ import annotations
 
-import dataclasses
 import time
+from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
@@ -17,7 +17,7 @@ from ._planner import Planner
 from ._servo import Servo
 
 
-@dataclasses.dataclass(frozen=True, eq=False)
+@dataclass(frozen=True, eq=False)
 class Outcome:
     """The outcome of `hang`."""
 
@@ -35,7 +35,7 @@ def hang(
     seed: int = 0,
     garment: Garment | None = None,
     target: Hook | Hanger | Mannequin | None = None,
-    model: Any = None,
+    model: str | Path | None = None,
     controller: Any = None,
     max_steps: int = 300,
     **options: Any,
@@ -45,17 +45,16 @@ def hang(
     Parameters
     ----------
     task : str, Task or gymnasium.Env, optional
-        As in `topokit.sim.simulate`; or a `topokit.sim.HangEnv`, also in wrappers of Gymnasium. When neither a task nor a
-        garment is given, a tote is hung.
+        As in `topokit.sim.simulate`; or a `topokit.sim.HangEnv`, also in wrappers of Gymnasium.
     seed : int
         Seed of the environment, and of the controller's draws.
     garment, target : optional
         The garment and the target of the task when not given.
-    model : optional
-        The forecaster with which `Planner` plans: "carry" for a rigid one, the checkpoint of a model of motion, or an
-        object with the methods of its `topokit.models.Predictor`. With None the `Servo` acts, which needs no forecast.
+    model : str or Path, optional
+        The forecast by which a `Planner` plans: "carry" for a rigid one, or the checkpoint of a model of motion. With None the
+        `Servo` acts, which needs no forecast.
     controller : optional
-        The controller that acts in place of these: an object with the members of a `Servo`.
+        The controller that acts in place of these: an object with the members of a `Servo`, such as a `Planner` of your own.
     max_steps : int
         Frames after which the episode ends.
     **options
@@ -64,31 +63,27 @@ def hang(
     if isinstance(task, gymnasium.Env):
         env = task
     else:
-        if task is None and garment is None:
-            task = "tote-hook"
         env = HangEnv(task, garment=garment, target=target, max_steps=max_steps, **options)
     scene: HangEnv = env.unwrapped  # type: ignore[assignment]
-    radius = scene.target.rods[0][2]
     n_loops = scene.task.needed(scene.garment.named_loops) or 1
+    sizes = {"radius": scene.target.rods[0][2], "max_step": scene.max_step}
     try:
         if controller is None and model is None:
-            controller = Servo(n_loops, radius=radius, max_step=scene.max_step)
+            controller = Servo(n_loops, **sizes)
         elif controller is None:
-            controller = Planner(_forecast(model), n_loops, radius=radius, max_step=scene.max_step, seed=seed)
+            controller = Planner(_forecast(str(model)), n_loops, seed=seed, **sizes)
         return _run(env, scene, controller, seed, max_steps)
     finally:
         env.close()
 
 
-def _forecast(model: Any) -> Any:
-    """Return the forecaster for the argument `model` of `hang`; None for the rigid one."""
+def _forecast(model: str) -> Any:
+    """Return the forecast for the argument `model` of `hang`; None for the rigid one."""
     if model == "carry":
         return None
-    if isinstance(model, str | Path):
-        from topokit.models import Predictor
+    from topokit.models import Predictor
 
-        return Predictor.load(model)
-    return model
+    return Predictor.load(model)
 
 
 def _run(env: gymnasium.Env[Any, Any], scene: HangEnv, controller: Any, seed: int, max_steps: int) -> Outcome:

@@ -25,10 +25,9 @@ from topokit.linking import linking_numbers
 from ._arm import Arm, Array
 from ._servo import Servo, ServoOptions
 
-_KNOTS = np.array(
-    [0, 8, 18, 30, 44, 60]
-)  # frames at which a path is described; the last is the horizon of the forecast
-_GUIDE_FRAMES = np.array([4, 9, 14, 19, 24, 29, 39, 49, 59])  # frames of a path, from 0, at which the guide is computed
+# The frames at which a path is described, up to the horizon of the forecast; and those, from 0, at which the guide is computed.
+_KNOTS = np.array([0, 8, 18, 30, 44, 60])
+_GUIDE_FRAMES = np.array([4, 9, 14, 19, 24, 29, 39, 49, 59])
 
 
 @dataclass(frozen=True)
@@ -54,7 +53,7 @@ class PlannerOptions(ServoOptions):
 
 
 class Carried:
-    """The forecaster for which cloth goes with the grippers as a rigid body: with their middle, and about the vertical."""
+    """The forecast by which cloth goes with the grippers as a rigid body: with their middle, and about the vertical."""
 
     def reset(self) -> None:
         """Forget everything observed."""
@@ -62,7 +61,7 @@ class Carried:
     def observe(
         self, points: ArrayLike, grippers: ArrayLike, held: bool = True, target: ArrayLike | None = None
     ) -> None:
-        """Take in the next frame; this forecaster uses the grippers alone.
+        """Take in the next frame, of which this forecast uses the grippers alone.
 
         Parameters
         ----------
@@ -128,30 +127,26 @@ class Planner(Servo):
     def _observe_cloud(self, points: Array) -> None:
         """Let the forecast observe the cloud, too; in frames without one the last cloud is carried along."""
         super()._observe_cloud(points)
+        *past, taken = list(self._frames)[: len(self._frames) - self._age]
         frame = self._frame - self._age
-        first = len(self._past) - self._age - frame + self._observed
-        for then in list(self._past)[first : -1 - self._age]:
-            self._forecast.observe(turned(self._last_cloud, then.yaw) + then.middle, then.grippers, True, then.line)
-        self._forecast.observe(points, self._cloud_frame.grippers, True, self._cloud_frame.line)
+        for then in past[len(past) + 1 - frame + self._observed :]:
+            self._forecast.observe(then.to_world(self._last_cloud), then.grippers, True, then.line)
+        self._forecast.observe(points, taken.grippers, True, taken.line)
         self._observed = frame
-        self._last_cloud = self._to_gripper_frame(points)
+        self._last_cloud = taken.to_grippers(points)
 
     def _to_world(self, points: Array) -> Array:
-        """Return the present places of the points: the forecast from the frame in which they were observed."""
-        places = self._observed_places(points)
+        """Return the present places of points, by the forecast since they were observed."""
+        places = self._cloud_frame.to_world(points)
         if not self._age:
             return places
         return self._moved(np.zeros((1, 0, 2, 3)), places)[0, self._age - 1]
 
-    def _observed_places(self, points: Array) -> Array:
-        """Return the places of the points in the frame in which they were observed."""
-        return turned(points, self._cloud_frame.yaw) + self._cloud_frame.middle
-
     def _moved(self, goals: Array, points: Array) -> Array:
         """Return (C, 60, n, 3) observed points, moved under the goals since then, and then under goals (C, F, 2, 3)."""
-        since = [then.goals for then in self._past][len(self._past) - self._age :]
-        past = np.broadcast_to(np.reshape(since, (-1, 2, 3)), (len(goals), self._age, 2, 3))
-        plans = np.concatenate([past, goals], axis=1)
+        since = [then.goals for then in self._frames][len(self._frames) - self._age :]
+        done = np.broadcast_to(np.reshape(since, (-1, 2, 3)), (len(goals), self._age, 2, 3))
+        plans = np.concatenate([done, goals], axis=1)
         plans = plans[:, np.minimum(np.arange(_KNOTS[-1]), plans.shape[1] - 1)]
         return np.asarray(self._forecast.move(plans, np.ones(plans.shape[:2], bool), points)[0], np.float64)
 
@@ -161,7 +156,7 @@ class Planner(Servo):
         # A small loop leaves no room for cloth that swings. The servo, which is slow, hangs it.
         if self._uses_servo is None:
             smallest = min(loop.opening.size[0] for loop in self._chosen)
-            self._uses_servo = bool(self.options.pace < 1 and smallest < self._needed_size(arm))
+            self._uses_servo = bool(options.pace < 1 and smallest < self._needed_size(arm))
         if self._uses_servo:
             return super()._next_action(arm, grippers)
         rim = self._rim(arm, grippers)
@@ -179,7 +174,7 @@ class Planner(Servo):
         # Let go of a loop that is around the target and seated. A loop that is not seen is first lowered by the servo.
         linked = min(loop.around for loop in self._chosen)
         self._waited += bool(np.linalg.norm(rim - arm.tip) < options.close)
-        seated = np.linalg.norm(self._seat(arm) - rim) < options.seated and speed < options.still
+        seated = np.linalg.norm(self._stations(arm)[2] - rim) < options.seated and speed < options.still
         if linked >= options.sure and (seated or self._waited > self._patience / 2):
             if all(loop.is_seen for loop in self._chosen):
                 return np.eye(7, dtype=np.float32)[6]
@@ -203,14 +198,16 @@ class Planner(Servo):
 
     def _curves(self) -> tuple[list[Array], Array]:
         """Return places of corners of the chosen cycles, and of their rims, in the frame in which they were observed."""
+        to_world = self._cloud_frame.to_world
         curves = [loop.curve for loop in self._chosen]
-        cycles = [self._observed_places(curve[:: -(-len(curve) // self.options.corners)]) for curve in curves]
-        return cycles, self._observed_places(np.array([loop.opening.rim for loop in self._chosen]))
+        cycles = [to_world(curve[:: -(-len(curve) // self.options.corners)]) for curve in curves]
+        return cycles, to_world(np.array([loop.opening.rim for loop in self._chosen]))
 
     def _best(self, arm: Arm, rim: Array, linked: bool) -> Array:
         """Return the goals (60, 2, 3) of the best path."""
         options = self.options
         cycles, rims = self._curves()
+        frames = np.minimum(_GUIDE_FRAMES + self._age, _GUIDE_FRAMES[-1])
         # Begin with a guess and with the rest of the last plan.
         kept = self._guess(arm, rim, linked)[None]
         spread = np.array(options.spread)
@@ -223,34 +220,33 @@ class Planner(Servo):
             about = kept[self._random.integers(len(kept), size=options.plans - len(kept))]
             paths = np.concatenate([kept, about + spread * self._random.normal(size=about.shape)])
             goals = self._goals_of(paths, rim)
-            order = np.argsort(self._costs(goals, cycles, rims, arm, linked))[: options.best]
+            places = self._moved(goals, np.concatenate([rims, *cycles]))[:, frames]
+            order = np.argsort(self._mean_guide(places, cycles, len(rims), arm, linked))[: options.best]
             kept = paths[order]
             spread = spread / 2
         self._last = _through(kept[0])
         return np.asarray(goals[order[0]])
 
     def _guess(self, arm: Arm, rim: Array, linked: bool) -> Array:
-        """Return the moves and turns (knots, 4) of a rim that goes through the stops at an even pace."""
-        stops = [self._seat(arm)] if linked else self._stops(arm, rim)
-        legs = np.array([rim, *stops])
+        """Return the moves and turns (knots, 4) of a rim that goes through the stations at an even pace."""
+        over, above, seat = self._stations(arm)
+        legs = [rim, seat] if linked else [rim, over, above]
+        # A rim that is far away or beside the target goes up first, to a place before the tip.
+        is_far = abs(angle(arm.out, rim - arm.start)) > 60 or np.linalg.norm((rim - arm.tip)[:2]) > 0.3
+        if is_far and not linked:
+            legs.insert(1, np.array([*arm.before(rim, 0.13)[:2], over[2]]))
         length = np.append(0, np.linalg.norm(np.diff(legs, axis=0), axis=1).cumsum())
         gone = self.options.pace * self.max_step * _KNOTS[1:]
-        places = np.stack([np.interp(gone, length, axis) for axis in legs.T], axis=1)
+        places = np.stack([np.interp(gone, length, axis) for axis in np.transpose(legs)], axis=1)
         facing = angle(self._loop_direction(), arm.out)
         most = self.options.turn * _KNOTS[1:]
         return np.column_stack([places - rim, np.clip(facing, -most, most)])
 
-    def _stops(self, arm: Arm, rim: Array) -> list[Array]:
-        """Return places to pass before the rim sinks: up beside the target, before it, above the tip, above the seat."""
-        seat = self._seat(arm)
+    def _stations(self, arm: Arm) -> tuple[Array, Array, Array]:
+        """Return the places of a rim over the tip, above the seat, and at rest on it."""
         over = arm.tip + [0, 0, self._clearance(arm)]
-        far = abs(angle(arm.out, rim - arm.start)) > 60 or np.linalg.norm((rim - arm.tip)[:2]) > 0.3
-        before = [np.array([*arm.before(rim, 0.13)[:2], over[2]])] if far else []
-        return [*before, over, np.array([*seat[:2], over[2]])]
-
-    def _seat(self, arm: Arm) -> Array:
-        """Return where the rim should come to rest."""
-        return np.asarray(arm.seat + [0, 0, self.radius - 0.02])
+        seat = arm.seat + [0, 0, self.options.radius - 0.02]
+        return over, np.array([*seat[:2], over[2]]), seat
 
     def _goals_of(self, paths: Array, pivot: Array) -> Array:
         """Return goals (C, 60, 2, 3) of paths (C, knots, 4), within the limits of speed and of acceleration."""
@@ -270,12 +266,6 @@ class Planner(Servo):
 
     # -- costs
 
-    def _costs(self, goals: Array, cycles: list[Array], rims: Array, arm: Arm, linked: bool) -> Array:
-        """Return the guide (C,) under paths of the grippers, metres: its mean over some of their frames."""
-        frames = np.minimum(_GUIDE_FRAMES + self._age, _GUIDE_FRAMES[-1])
-        places = self._moved(goals, np.concatenate([rims, *cycles]))[:, frames]
-        return self._mean_guide(places, cycles, len(rims), arm, linked)
-
     def _mean_guide(self, places: Array, cycles: list[Array], n: int, arm: Arm, linked: bool) -> Array:
         """Return the mean guide (C,) over frames, for places (C, F, n + m, 3) of n rims and of the cycles' corners."""
         tops, *moved = np.split(places, np.cumsum([n, *map(len, cycles)])[:-1], axis=2)
@@ -284,9 +274,7 @@ class Planner(Servo):
 
     def _to_go(self, rim: Array, cycle: Array, arm: Arm, linked: bool) -> Array:
         """Return the guide (C, F) for a rim (C, F, 3) of a cycle (C, F, L, 3), which may sink once it is linked."""
-        seat = self._seat(arm)
-        over = arm.tip + [0, 0, self._clearance(arm)]
-        above = np.array([*seat[:2], over[2]])
+        over, above, seat = self._stations(arm)
         # The degrees by which the opening faces aside of the arm, on the chosen side.
         area = np.cross(cycle, np.roll(cycle, -1, axis=2)).sum(axis=2) * [1, 1, 0]
         area = area / np.maximum(np.linalg.norm(area, axis=-1, keepdims=True), 1e-9)

@@ -57,14 +57,20 @@ class ServoOptions:
     leash: float = 0.2  #: metres by which a goal may lead its gripper along an axis
 
 
-class _PastFrame(NamedTuple):
-    """The part of a past frame that is kept."""
+class _Frame(NamedTuple):
+    """A frame, and the frame of reference of its grippers: from their middle, with x towards the second one."""
 
     grippers: Array  # (2, 3)
     line: Array  # (K, 3) centre line of the target
     goals: Array  # (2, 3) goals of the grippers that led to this frame
     middle: Array  # (3,) place midway between the grippers
     yaw: float  # degrees from the x axis to the line from the first gripper to the second
+
+    def to_grippers(self, points: Array) -> Array:
+        return turned(points - self.middle, -self.yaw)
+
+    def to_world(self, points: Array) -> Array:
+        return turned(points, self.yaw) + self.middle
 
 
 @dataclass(eq=False)
@@ -82,15 +88,12 @@ class _KnownLoop:
 
     @property
     def is_seen(self) -> bool:
-        """Return whether the last cloud shows the loop."""
         return self.cycle is not self.curve
 
     def carry(self, cloth: cKDTree, new_weight: float) -> None:
-        """Move the curve evenly to the nearest cloth, and a little to its place when last seen."""
+        """Move the curve evenly to the cloth within 6 cm, and a little to its place when last seen."""
         distance, nearest = cloth.query(self.curve)
-        pull = np.where(
-            (distance < 0.06)[:, None], cloth.data[nearest] - self.curve, 0
-        )  # within 6 cm it can be the same
+        pull = np.where((distance < 0.06)[:, None], cloth.data[nearest] - self.curve, 0)
         pull = uniform_filter1d(pull, max(3, len(self.curve) // 3), axis=0, mode="wrap")
         self.curve = np.asarray(0.9 * (self.curve + pull / 2) + 0.1 * self.last_seen)
         self.cycle = self.curve
@@ -119,7 +122,6 @@ class Servo:
     def __init__(self, n_loops: int = 1, **options: Any) -> None:
         self.options = self.Options(**options)
         self.n_loops = n_loops
-        self.radius = self.options.radius
         self.max_step = self.options.max_step
         self._patience = self.options.patience * max(1.0, ServoOptions.max_step / self.max_step)
 
@@ -132,15 +134,15 @@ class Servo:
         self._known_loops: list[_KnownLoop] = []
         self._chosen: list[_KnownLoop] = []
         self._no_opening_seen = False
-        # Frames so far, the stop on the rail, the frames spent on the way to it, and the runs that failed.
+        # The number of frames, the stop on the rail, the frames spent on the way to it, and the runs that failed.
         self._frame = 0
         self._stop = "far"
         self._waited = 0
         self._tries = 0
-        # The last cloud, its age in frames, and the frames of the past.
+        # The last cloud, its age in frames, and the last frames.
         self._cloud = np.zeros((0, 3))
         self._age = 0
-        self._past = deque[_PastFrame](maxlen=31 + self.options.cloud_delay)
+        self._frames = deque[_Frame](maxlen=31 + self.options.cloud_delay)
 
     def act(self, observation: Mapping[str, Any]) -> NDArray[np.float32]:
         """Return the next action (7,): a share of `max_step` along each axis for both grippers; above 0.5 the last lets go.
@@ -153,11 +155,10 @@ class Servo:
             self.reason = "the target has no arm that runs sideways"
         if arm is None or self.reason or not observation["held"]:
             return np.zeros(7, np.float32)
-        self._frame += 1
         self._follow(points, grippers, line)
         # Choose the loops once they have been tracked for some frames.
         if not self._chosen and self._frame >= self.options.first_looks:
-            self._choose(arm, self._to_gripper_frame(points))
+            self._choose(arm, self._cloud_frame.to_grippers(points))
         if not self._chosen:
             return self._turn_to_show(grippers)
         # Count the frames in which each chosen loop is around the target. The count of a loop that is out of sight on the way
@@ -181,35 +182,27 @@ class Servo:
         # A cloud is new when it differs from the last one. It also counts as new when the grippers stand still, for then its age
         # does not matter.
         new = not np.array_equal(points, self._cloud)
-        if self._past:
-            new |= np.array_equal(grippers, self._past[-1].grippers)
-        self._middle = grippers.mean(axis=0)
-        self._yaw = angle(np.eye(3)[0], grippers[1] - grippers[0])
-        self._past.append(_PastFrame(grippers, line, self._goals, self._middle, self._yaw))
-        self._age = min(self.options.cloud_delay if new else self._age + 1, len(self._past) - 1)
+        if self._frames:
+            new |= np.array_equal(grippers, self._frames[-1].grippers)
+        yaw = angle(np.eye(3)[0], grippers[1] - grippers[0])
+        self._now = _Frame(grippers, line, self._goals, grippers.mean(axis=0), yaw)
+        self._frame += 1
+        self._frames.append(self._now)
+        # The cloud was taken in an earlier frame, by its age.
+        self._age = min(self.options.cloud_delay if new else self._age + 1, len(self._frames) - 1)
+        self._cloud_frame = self._frames[-1 - self._age]
         self._cloud = points
         if new:
             self._observe_cloud(points)
 
-    @property
-    def _cloud_frame(self) -> _PastFrame:
-        """Return the frame in which the present cloud was taken."""
-        return self._past[-1 - self._age]
-
-    def _to_gripper_frame(self, points: Array) -> Array:
-        """Return places of the present cloud in the frame of the grippers.
-
-        Its origin is midway between the grippers, and its x axis runs from the first gripper to the second.
-        """
-        return turned(points - self._cloud_frame.middle, -self._cloud_frame.yaw)
-
     def _to_world(self, points: Array) -> Array:
-        """Return the present places in the world of points in the frame of the grippers."""
-        return turned(points, self._yaw) + self._middle
+        """Return the present places of points in the grippers' frame of reference."""
+        return self._now.to_world(points)
 
     def _observe_cloud(self, points: Array) -> None:
         """Update the known loops by a new cloud; carry a loop that is not seen along with the cloth near it."""
         options = self.options
+        to_grippers = self._cloud_frame.to_grippers
         unseen = list(self._known_loops)
         points = np.unique(points, axis=0)
         diagram = rips_persistence(points)
@@ -217,13 +210,13 @@ class Servo:
             # A cycle that passes a point twice is two rings and a bridge between them, which is no opening.
             if len(np.unique(loop.cycle)) < len(loop.cycle):
                 continue
-            cycle = self._to_gripper_frame(loop.cycle_points)
+            cycle = to_grippers(loop.cycle_points)
             # Once loops are chosen, skip the loops far from them: tightening takes time.
             gaps = [np.linalg.norm(known.curve.mean(axis=0) - cycle.mean(axis=0)) for known in self._chosen]
             if min(gaps, default=0.0) > 2 * options.same_loop:
                 continue
             tight = diagram.tighten(loop.cycle, radius=loop.birth + loop.lifetime / 4)
-            curve = self._to_gripper_frame(points[tight])
+            curve = to_grippers(points[tight])
             opening = Opening.of(curve)
             if opening is None:
                 continue
@@ -238,7 +231,7 @@ class Servo:
             nearest.times_seen += 1
             nearest.opening = nearest.opening.blended(opening, options.new_weight)
             unseen.remove(nearest)
-        cloth = as_tree(self._to_gripper_frame(points))
+        cloth = as_tree(to_grippers(points))
         for known in unseen:
             known.carry(cloth, options.new_weight)
 
@@ -260,11 +253,12 @@ class Servo:
                 patience = patience // 2 + 3 * self.options.quarter  # until the garment has been turned to both sides
             if self._frame >= patience:
                 counts = f"{len(seen)} loops are seen, {len(upright)} of them do not lie flat"
-                size = f"{len(fit)} of these are as large as this target needs, {2 * needed:.2f} m around"
-                self.reason = f"{counts}, {size}"
+                self.reason = (
+                    f"{counts}, {len(fit)} of these are as large as this target needs, {2 * needed:.2f} m around"
+                )
             return
         half = float(np.linalg.norm(self._goals[1] - self._goals[0])) / 2
-        front = turned(arm.out, -self._yaw)
+        front = turned(arm.out, -self._now.yaw)
 
         def effort(opening: Opening) -> float:
             """Return the cost of going in from a side: the turn to face the arm, and the cloth in the way."""
@@ -295,34 +289,29 @@ class Servo:
         turns = (self._frame - self.options.patience // 2) // quarter
         if turns < 0 or not self._no_opening_seen:
             return np.zeros(7, np.float32)
+        middle = self._now.middle
         step = (-90 if turns else 90) / quarter
-        return self._action_towards(turned(self._goals - self._middle, step) + self._middle, grippers)
+        return self._action_towards(turned(self._goals - middle, step) + middle, grippers)
 
     # -- where the grippers go
 
     def _next_action(self, arm: Arm, grippers: Array) -> NDArray[np.float32]:
         """Return the action that brings the rim nearer to its stop and turns the opening to the arm, or that lets go."""
-        options = self.options
-        # Find the move and the turn that are missing to the stop.
         stop = self._stop
         rim = self._rim(arm, grippers)
         if stop == "down":  # the grippers themselves go down to the seat, so that the cloth cannot fall any more
-            rim[2] = self._middle[2]
+            rim[2] = self._now.middle[2]
         gap = self._rim_goal(stop, arm, rim) - rim
         facing = angle(self._loop_direction(), arm.out)
-        arrived = np.linalg.norm(gap) < options.near and abs(facing) < options.facing
+        arrived = self._is_near(gap, facing)
         # Let go, go on to the next stop, or begin again at the second one.
-        sure = min(loop.around for loop in self._chosen) >= options.sure
+        sure = min(loop.around for loop in self._chosen) >= self.options.sure
         self._waited += 1
         if stop == "down" and sure and (arrived or self._waited > self._patience / 2):
             return np.eye(7, dtype=np.float32)[6]
         if (arrived and stop != "down") or self._waited > self._patience:
             self._go_on()
-        # Make a share of the missing move and turn, no faster than the stop allows.
-        move = options.gain * gap
-        move *= min(1.0, _RAIL[stop][1] * self.max_step / max(float(np.linalg.norm(move)), 1e-9))
-        turn = np.clip(options.gain * facing, -options.turn, options.turn)
-        return self._action_towards(rim + turned(self._goals - rim, turn) + move, grippers)
+        return self._approach(rim, gap, facing, _RAIL[stop][1], grippers)
 
     def _go_on(self) -> None:
         """Go on to the next stop, or begin again at the second one."""
@@ -341,42 +330,54 @@ class Servo:
     def _loop_direction(self) -> Array:
         """Return the level direction in which the arm should go through the loops."""
         # Several loops hang side by side between the grippers: the arm goes through all of them along that line.
-        if len(self._chosen) == 1:
-            return turned(self._chosen[0].opening.normal, self._yaw)
-        return turned(self._across, self._yaw)
+        direction = self._chosen[0].opening.normal if len(self._chosen) == 1 else self._across
+        return turned(direction, self._now.yaw)
 
     def _rim(self, arm: Arm, grippers: Array) -> Array:
         """Return one rim for all chosen loops: as low as the lowest, and as far out as the loop that passes the tip last."""
         rims = self._to_world(np.array([loop.opening.rim for loop in self._chosen]))
         # With several loops each gripper holds one of them, and must pass the tip, too.
-        passing = rims
-        if len(rims) > 1:
-            passing = np.concatenate([rims, grippers])
-        along_arm = passing @ arm.out
+        passing = rims if len(rims) == 1 else np.concatenate([rims, grippers])
         rim = np.array([*rims.mean(axis=0)[:2], rims[:, 2].min()])
-        return np.asarray(rim + (along_arm.max() - rim @ arm.out) * arm.out)
+        return np.asarray(rim + ((passing @ arm.out).max() - rim @ arm.out) * arm.out)
 
     def _rim_goal(self, stop: str, arm: Arm, rim: Array) -> Array:
         """Return where the rim should be at a stop."""
         if stop == "down":
-            return arm.seat + [0, 0, self.radius]
+            return arm.seat + [0, 0, self.options.radius]
         before = _RAIL[stop][0]
         if stop == "far":
-            x, y, _ = arm.before(rim, before)
+            place = arm.before(rim, before)
         elif before > 0:
-            x, y, _ = arm.tip + before * arm.out
+            place = arm.tip + before * arm.out
         else:
-            x, y, _ = arm.seat
-        return np.array([x, y, arm.tip[2] + self._clearance(arm) + 0.02 * self._tries])
+            place = arm.seat
+        return np.array([*place[:2], arm.tip[2] + self._clearance(arm) + 0.02 * self._tries])
 
     def _needed_size(self, arm: Arm) -> float:
         """Return half the length around what a loop must pass over, metres: the arm with its tip."""
-        return float(arm.tip[2] - arm.end[2] + 4 * self.radius)
+        return float(arm.tip[2] - arm.end[2] + 4 * self.options.radius)
 
     def _clearance(self, arm: Arm) -> float:
         """Return how far above the tip the rim should pass, metres, so that the tip goes through the middle of the opening."""
+        radius = self.options.radius
         opening = min(loop.opening.size[0] for loop in self._chosen)
-        return float(self.radius + np.clip((opening - arm.tip[2] + arm.end[2]) / 2 - self.radius, 0.015, 0.06))
+        return float(radius + np.clip((opening - arm.tip[2] + arm.end[2]) / 2 - radius, 0.015, 0.06))
+
+    def _is_near(self, gap: Array, facing: float) -> bool:
+        """Return whether a missing move (3,) and a missing turn, in degrees, are small."""
+        return bool(np.linalg.norm(gap) < self.options.near and abs(facing) < self.options.facing)
+
+    def _approach(self, pivot: Array, gap: Array, facing: float, pace: float, grippers: Array) -> NDArray[np.float32]:
+        """Return the action that makes a share of a missing move, and of a missing turn about a place.
+
+        The pace is the largest move, as a share of the largest step.
+        """
+        options = self.options
+        move = options.gain * gap
+        move *= min(1.0, pace * self.max_step / max(float(np.linalg.norm(move)), 1e-9))
+        turn = np.clip(options.gain * facing, -options.turn, options.turn)
+        return self._action_towards(pivot + turned(self._goals - pivot, turn) + move, grippers)
 
     def _action_towards(self, goals: Array, grippers: Array) -> NDArray[np.float32]:
         """Return the action that moves the grippers' goals to the given ones, or as near as a step allows."""
