@@ -43,86 +43,75 @@ def said(
     )
 
 
-def score(states: StateTensors, *curves: np.ndarray, target: StateTensors | None = None) -> dict[str, np.ndarray]:
+def measured(states: StateTensors, truth: TrueCurves, target: StateTensors | None = None) -> dict[str, np.ndarray]:
     """All columns, (K,) of the one window."""
     target = states if target is None else target
-    rng = np.random.default_rng(0)
-    found = measure_forecasts(states, target, target[:, :1], [TrueCurves(curves)], STEPS, (1, 4), rng)
+    found = measure_forecasts(states, target, target[:, :1], [truth], STEPS, (1, 4), np.random.default_rng(0))
     return {name: column[0] for name, column in found.items()}
 
 
-def test_a_perfect_forecast_is_in_the_hull_and_one_beside_it_is_as_far_as_it_is():
-    assert (score(said([(0, 0, 0)], [0.05]), circle())["hull_distance"] < 1e-6).all()
-    moved = score(said([(0, 0, 0.2)], [0.05]), circle())
-    assert np.allclose(moved["hull_distance"], 0.2, atol=1e-5)
-    assert np.allclose(moved["distance"], 0.2, atol=1e-5)
-    edge = score(said([(0.13, 0, 0)], [0.05]), circle())
-    assert np.allclose(edge["hull_distance"], 0.03, atol=1e-5)
-    assert np.allclose(edge["distance"], 0.13, atol=1e-5)
+def score(states: StateTensors, *curves: np.ndarray, target: StateTensors | None = None) -> dict[str, np.ndarray]:
+    return measured(states, TrueCurves(curves), target)
 
 
-def test_the_longest_lived_loop_counts_and_no_other():
-    states = said([(0, 0, 0), (0, 0, 0.5)], [0.03, 0.05])
-    assert np.allclose(score(states, circle())["hull_distance"], 0.5, atol=1e-5)
-    other = states.replace(death=states.death.flip(-1).roll(-1, dims=-1))  # now the first slot lives longer
-    assert float(other.death[0, 0, 0]) > float(other.death[0, 0, 1])
-    assert (score(other, circle())["hull_distance"] < 1e-6).all()
+HERE = circle((-0.3, 0, 0))
+THERE = circle((0.3, 0, 0))
+LEFT = (-0.3, 0.0, 0.0)
+RIGHT = (0.3, 0.0, 0.0)
+MIDDLE = (0.0, 0.0, 0.0)
+ABSENT = {
+    "hull_distance": np.inf,
+    "hull_distance_presence_ignored": 0,
+    "distance": np.nan,
+    "nll": np.nan,
+    "in_plane": 0,
+}
 
 
-def test_two_loops_ask_for_two_means_in_two_hulls():
-    here = circle((-0.3, 0, 0))
-    there = circle((0.3, 0, 0))
-    for places in ([(-0.3, 0, 0), (0.3, 0, 0)], [(0.3, 0, 0), (-0.3, 0, 0)]):  # the order is free
-        assert (score(said(places, [0.05, 0.04]), here, there)["hull_distance"] < 1e-6).all()
-    twice = score(said([(-0.3, 0, 0), (-0.3, 0.01, 0)], [0.05, 0.04]), here, there)
-    assert np.allclose(twice["hull_distance"], 0.5, atol=1e-4)  # from one hull to the border of the other
-    assert np.isinf(score(said([(-0.3, 0, 0)], [0.05]), here, there)["hull_distance"]).all()
+@pytest.mark.parametrize(
+    ("forecast", "curves", "expected"),
+    [
+        (said([MIDDLE], [0.05]), [circle()], {"hull_distance": 0}),
+        (said([(0, 0, 0.2)], [0.05]), [circle()], {"hull_distance": 0.2, "distance": 0.2}),
+        (said([(0.13, 0, 0)], [0.05]), [circle()], {"hull_distance": 0.03, "distance": 0.13}),
+        # The longest-lived loop counts and no other.
+        (said([MIDDLE, (0, 0, 0.5)], [0.03, 0.05]), [circle()], {"hull_distance": 0.5}),
+        (said([MIDDLE, (0, 0, 0.5)], [0.05, 0.03]), [circle()], {"hull_distance": 0}),
+        # Two loops ask for two means in two hulls, in any order; twice in one hull is as far as the border of the other.
+        (said([LEFT, RIGHT], [0.05, 0.04]), [HERE, THERE], {"hull_distance": 0}),
+        (said([RIGHT, LEFT], [0.05, 0.04]), [HERE, THERE], {"hull_distance": 0}),
+        (said([LEFT, (-0.3, 0.01, 0)], [0.05, 0.04]), [HERE, THERE], {"hull_distance": 0.5}),
+        (said([LEFT], [0.05]), [HERE, THERE], {"hull_distance": np.inf}),
+        (said([MIDDLE], [0.05], [False]), [circle()], ABSENT),
+        # In the plane: inside, and at most a fifth of the radius aside.
+        (said([(0.05, 0, 0.02)], [0.05]), [circle()], {"in_plane": 1}),
+        (said([(0.05, 0, 0.03)], [0.05]), [circle()], {"in_plane": 0}),
+        (said([(0.11, 0, 0.0)], [0.05]), [circle()], {"in_plane": 0}),
+    ],
+)
+def test_forecasts_of_which_everything_is_known(forecast, curves, expected):
+    found = score(forecast, *curves)
+    for name, value in expected.items():
+        np.testing.assert_allclose(found[name], value, atol=1e-4, err_msg=name)
 
 
 def test_the_edge_that_ends_a_loop_widens_its_hull():
     """A tie before a skirt: its curve was marked straight across the skirt, and it is narrowest below."""
-    curve = circle()
-    below = (0.0, 0.0, -0.1)
     edge = np.repeat(np.array([[[-0.05, 0, -0.1], [0.05, 0, -0.1]]]), len(STEPS), axis=0)
-    states = said([below], [0.05])
-    rng = np.random.default_rng(0)
+    states = said([(0, 0, -0.1)], [0.05])
     for closing, expected in (((edge,), 0.0), ((), 0.1)):
-        found = measure_forecasts(states, states, states[:, :1], [TrueCurves((curve,), closing)], STEPS, (), rng)
-        assert np.allclose(found["hull_distance"], expected, atol=1e-5)
-        assert np.allclose(found["hull_distance_marked_curve"], 0.1, atol=1e-5)
+        found = measured(states, TrueCurves((circle(),), closing))
+        np.testing.assert_allclose(found["hull_distance"], expected, atol=1e-5)
+        np.testing.assert_allclose(found["hull_distance_marked_curve"], 0.1, atol=1e-5)
 
 
 def test_a_true_loop_that_is_not_there_is_not_asked_for():
-    here = circle((-0.3, 0, 0))
-    there = circle((0.3, 0, 0))
+    """Two loops are there and one is forecast; one is there; none is, and nothing is asked."""
     present = (np.array([True, True, False]), np.array([True, False, False]))
-    states = said([(-0.3, 0, 0)], [0.05])
-    rng = np.random.default_rng(0)
-    found = measure_forecasts(
-        states, states, states[:, :1], [TrueCurves((here, there), (), present)], STEPS, (1, 4), rng
-    )
-    assert np.isinf(found["hull_distance"][0, 0])  # two are there, one is forecast
-    assert found["hull_distance"][0, 1] < 1e-6  # one is there
-    assert np.isnan(found["hull_distance"][0, 2])  # none: nothing is asked
-    assert np.isnan(found["nll"][0, 2])
+    found = measured(said([LEFT], [0.05]), TrueCurves((HERE, THERE), (), present))
+    np.testing.assert_allclose(found["hull_distance"], [np.inf, 0, np.nan], atol=1e-6)
+    assert np.isnan(found["nll"][2])
     assert np.isinf(found["hull_distance_marked_curve"]).all()
-
-
-def test_what_is_said_to_be_absent_does_not_count():
-    silent = score(said([(0, 0, 0)], [0.05], [False]), circle())
-    assert np.isinf(silent["hull_distance"]).all()
-    assert (silent["hull_distance_presence_ignored"] < 1e-6).all()
-    assert np.isnan(silent["distance"]).all()
-    assert np.isnan(silent["nll"]).all()
-    assert (silent["in_plane"] == 0).all()
-
-
-def test_in_the_plane():
-    assert (
-        score(said([(0.05, 0, 0.02)], [0.05]), circle())["in_plane"] == 1
-    ).all()  # beside it by a fifth of the radius
-    assert (score(said([(0.05, 0, 0.03)], [0.05]), circle())["in_plane"] == 0).all()
-    assert (score(said([(0.11, 0, 0.0)], [0.05]), circle())["in_plane"] == 0).all()
 
 
 def test_likelihood_is_that_of_the_mixture():
@@ -144,16 +133,14 @@ def test_likelihood_is_that_of_the_mixture():
 
 
 def test_identity_is_kept_by_the_same_slot():
-    here = circle((-0.3, 0, 0))
-    there = circle((0.3, 0, 0))
-    states = said([(-0.3, 0, 0), (0.3, 0, 0)], [0.05, 0.04])
-    assert score(states, here, there)["same_slot"].tolist() == [1, 1, 1]
+    states = said([LEFT, RIGHT], [0.05, 0.04])
+    assert score(states, HERE, THERE)["same_slot"].tolist() == [1, 1, 1]
     corners = states.corners.clone()
     corners[:, 2:, [0, 1]] = corners[:, 2:, [1, 0]]  # from step 3 on the slots change places
-    assert score(states.replace(corners=corners), here, there)["same_slot"].tolist() == [1, 1, 0]
+    assert score(states.replace(corners=corners), HERE, THERE)["same_slot"].tolist() == [1, 1, 0]
     gone = states.presence.clone()
     gone[:, 1:, 1] = -6.0  # one is lost at step 2
-    assert score(states.replace(presence=gone), here, there)["same_slot"].tolist() == [1, 0.5, 0.5]
+    assert score(states.replace(presence=gone), HERE, THERE)["same_slot"].tolist() == [1, 0.5, 0.5]
 
 
 def test_presence_counts_slots():
@@ -161,15 +148,10 @@ def test_presence_counts_slots():
     fades = target.presence.clone()
     fades[:, 2:, 1] = -20.0  # the second loop closes at step 3
     target = target.replace(presence=fades)
-    held = said([(0, 0, 0), (0.5, 0, 0)], [0.05, 0.04])  # as at the start, for good
+    held = said([(0, 0, 0), (0.5, 0, 0)], [0.05, 0.04])  # as at the start, for good: it forecasts no event
     found = score(held, circle(), target=target)
-    assert found["present"].tolist() == [2, 2, 1]
-    assert found["present_right"].tolist() == [2, 2, 1]
-    assert found["absent_right"].tolist() == [1, 1, 1]
-    assert found["closes"].tolist() == [0, 0, 1]
-    assert (
-        found["closes_forecast"].tolist() == found["closes_right"].tolist() == [0, 0, 0]
-    )  # who holds forecasts no event
-    assert found["opens"].tolist() == found["opens_forecast"].tolist() == [0, 0, 0]
+    expected = {"present": [2, 2, 1], "present_right": [2, 2, 1], "absent_right": [1, 1, 1], "closes": [0, 0, 1]}
+    expected |= {key: [0, 0, 0] for key in ("closes_forecast", "closes_right", "opens", "opens_forecast")}
+    assert {name: found[name].tolist() for name in expected} == expected
     swapped = held[:, :, [2, 1, 0]]
     assert score(swapped, circle(), target=target)["present_right"].tolist() == [2, 2, 1]  # slots have no order

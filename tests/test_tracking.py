@@ -2,8 +2,7 @@
 
 from __future__ import annotations
 
-import subprocess
-import sys
+from dataclasses import replace
 
 import numpy as np
 import pytest
@@ -11,7 +10,7 @@ from scipy.spatial import ConvexHull
 
 from chapter_tools.trackers import by_diagram, by_killer, by_midpoint, track_vines
 from topokit import SeqPH, track
-from topokit.evaluate import Overlap, compare, distance_to_hull, events, score, true_loops
+from topokit.evaluate import Overlap, compare, distance_to_hull, events, score, summarise_tracks, true_loops
 from topokit.io import load_episode
 
 from conftest import polygon
@@ -52,10 +51,8 @@ def film(seed: int) -> list[Overlap]:
 
 def one(objects: list[int], ids: list[int], *pairs: tuple[int, int]) -> Overlap:
     """A frame in which the named pairs fit perfectly and nothing else at all."""
-    table = [[float((a, b) in pairs) for b in ids] for a in objects]
-    return Overlap(
-        np.array(objects, np.int64), np.array(ids, np.int64), np.array(table).reshape(len(objects), len(ids))
-    )
+    table = np.array([float((a, b) in pairs) for a in objects for b in ids]).reshape(len(objects), len(ids))
+    return Overlap(np.array(objects, np.int64), np.array(ids, np.int64), table)
 
 
 def test_a_film_scored_by_hand():
@@ -63,21 +60,12 @@ def test_a_film_scored_by_hand():
     frames = [one([7, 8], [1, 3], (7, 1), (8, 3))] * 2
     frames += [one([7, 8], [3], (8, 3)), one([7, 8], [2, 3, 9], (7, 2), (8, 3))]
     result = score(frames)
-    assert (result.objects, result.detections, result.matches) == (8, 8, 7)
-    assert (result.misses, result.false_positives, result.switches, result.fragments) == (1, 1, 1, 1)
-    assert result.mota == pytest.approx(1 - 3 / 8)
-    assert result.id_matches == 6  # 7 is 1 for good, 8 is 3
-    assert result.idf1 == pytest.approx(2 * 6 / 16)
-    assert result.deta == pytest.approx(7 / 9)
-    assert result.assa == pytest.approx((2 * 2 / 4 + 1 * 1 / 4 + 4 * 4 / 4) / 7)
-    assert result.hota == pytest.approx(np.sqrt(result.deta * result.assa))  # here the same at every level
+    assert (result.objects, result.detections, result.matches, result.id_matches) == (8, 8, 7, 6)
+    assa = (2 * 2 / 4 + 1 * 1 / 4 + 4 * 4 / 4) / 7
+    expected = [1 - 3 / 8, 2 * 6 / 16, np.sqrt(7 / 9 * assa), 7 / 9, assa, 1, 1, 1, 1]
+    np.testing.assert_allclose([getattr(result, name) for name in MEASURES], expected)
     told = [(event.frame, event.kind, event.loop, event.id) for event in events(frames) if event.kind != "match"]
-    assert told == [
-        (2, "miss", 7, -1),
-        (3, "switch", 7, 2),
-        (3, "fragment", 7, 2),
-        (3, "false positive", -1, 9),
-    ]
+    assert told == [(2, "miss", 7, -1), (3, "switch", 7, 2), (3, "fragment", 7, 2), (3, "false positive", -1, 9)]
 
 
 @pytest.mark.parametrize("seed", TRACKEVAL)
@@ -91,12 +79,9 @@ def test_scores_add_up():
     first = film(1)
     second = film(2)
     moved = [Overlap(o.objects + 10, o.ids + 100, o.similarity) for o in second]
-    together = score([*first, *moved])
-    added = score(first) + score(second)
-    for name in ("objects", "detections", "matches", "switches", "fragments", "id_matches"):
-        assert getattr(together, name) == getattr(added, name)
-    assert together.hota == pytest.approx(added.hota)
-    assert together.assa == pytest.approx(added.assa)
+    together = vars(score([*first, *moved]))
+    for name, value in vars(score(first) + score(second)).items():
+        np.testing.assert_allclose(together[name], value)
 
 
 def test_a_perfect_film_and_an_empty_one():
@@ -105,8 +90,7 @@ def test_a_perfect_film_and_an_empty_one():
     blind = score([one([0, 1], [])] * 3)
     assert (blind.mota, blind.idf1, blind.hota, blind.misses) == (0, 0, 0, 6)
     nothing = score([one([], [])])
-    assert np.isnan(nothing.mota)
-    assert np.isnan(nothing.idf1)
+    assert np.isnan([nothing.mota, nothing.idf1]).all()
 
 
 def test_a_match_is_kept_while_it_holds():
@@ -115,23 +99,6 @@ def test_a_match_is_kept_while_it_holds():
     after = Overlap(np.array([0]), np.array([1, 2]), np.array([[0.6, 0.9]]))
     assert score([before, after, after]).switches == 0
     assert score([before, after, after], threshold=0.7).matches == 2  # now 1 is too far away
-
-
-def test_scores_of_trackers_need_only_the_core():
-    code = """
-import sys
-for name in "torch safetensors dask pydantic tqdm matplotlib pandas".split():
-    sys.modules[name] = None
-import numpy as np, topokit
-from topokit.evaluate import compare, score, summarise_tracks, true_loops
-angle = 2 * np.pi * np.arange(30) / 30
-film = np.array([[np.cos(angle), np.sin(angle), 0 * angle]] * 3).swapaxes(1, 2)
-truth = true_loops(film, [np.arange(30)])
-states = topokit.track(film)
-assert score(compare(states, truth)).mota == 1
-assert summarise_tracks(states, film, [np.arange(30)])[0].in_hull == 1
-"""
-    subprocess.run([sys.executable, "-c", code], check=True)
 
 
 def ring(n: int, radius: float, centre: tuple[float, float, float] = (0, 0, 0)) -> np.ndarray:
@@ -149,27 +116,25 @@ def test_truth_of_a_tube_is_one_loop_not_two():
     np.testing.assert_allclose(truth.radii, 1)
     (state,) = track([tube])
     assert by_killer(truth, state)[0].tolist() == [1.0]
-    assert true_loops(tube[None], rims, alpha=0.9)[0].present.tolist() == [False, False]
 
 
 def test_a_detection_of_what_is_not_there_is_set_aside():
     points = np.vstack([ring(30, 1.0), ring(30, 1.0, (9, 0, 0))])
     (truth,) = true_loops(points[None], [np.arange(30), 30 + np.arange(30)])
-    half = type(truth)(truth.centres, truth.radii, truth.killers, np.array([True, False]))
+    half = replace(truth, present=np.array([True, False]))
     states = track([points])
     assert score(compare(states, [truth])).matches == 2
     result = score(compare(states, [half]))
     assert (result.objects, result.detections, result.matches) == (1, 1, 1)
-    with pytest.raises(ValueError, match="states has 1 frames, truth 2"):
+    with pytest.raises(ValueError, match="zip"):
         compare(states, [truth, truth])
 
 
 def test_a_detection_that_fits_a_present_loop_best_is_not_set_aside():
     """As TrackEval removes distractors: it matches for the greatest similarity, not for the largest number of pairs."""
-    centres = [(9.0 * k, 0, 0) for k in range(3)]
-    points = np.vstack([ring(30, 1.0, centre) for centre in centres])
+    points = np.vstack([ring(30, 1.0, (9.0 * k, 0, 0)) for k in range(3)])
     (truth,) = true_loops(points[None], np.arange(90).reshape(3, 30))
-    two = type(truth)(truth.centres, truth.radii, truth.killers, np.array([True, True, False]))
+    two = replace(truth, present=np.array([True, True, False]))
     table = np.array([[0.9, 0.5, 0], [0, 0.9, 0.5], [0.5, 0, 0]])
     (overlap,) = compare(track([points]), [two], lambda *_: table)
     assert overlap.similarity.tolist() == table[:2].tolist()
@@ -198,6 +163,13 @@ def test_an_apron_is_tracked_without_a_fault(episode_path):
         result = score(compare(states, truth, **options))
         assert (result.mota, result.idf1, result.misses, result.switches) == (1, 1, 0, 0)
     assert score(compare(states, truth, by_killer)).hota == pytest.approx(1)
+    (summary,) = summarise_tracks(states, points, episode.loops)
+    (bare,) = summarise_tracks(states, points, ())
+    centres = np.array([state.loops[0].centre for state in states])
+    away = np.linalg.norm(centres - points[:, episode.loops[0]].mean(axis=1), axis=1)
+    assert (summary.frames, summary.true_loop, summary.in_hull) == (len(points), 0, 1)
+    assert summary.distance == pytest.approx(away.mean())
+    assert (bare.true_loop, bare.lifetime) == (-1, summary.lifetime)
 
 
 def test_baselines_on_what_they_cannot_see():
@@ -210,11 +182,9 @@ def test_baselines_on_what_they_cannot_see():
         where[match] = [next(loop.id for loop in state.loops if loop.centre[0] < 3) for state in states]
     assert len(set(where[None])) == len(set(where[by_midpoint])) == 1
     assert len(set(where[by_diagram])) == 2  # it follows the size, not the ring
-    small = ring(24, 0.5)
-    large = ring(24, 1.5)
     for match, ids in ((by_midpoint, [0, 0]), (None, [0, 1])):
         tracker = SeqPH(epsilon=0.1, loops="alpha", match=match)
-        assert [tracker.update(cloud).loops[0].id for cloud in (small, large)] == ids
+        assert [tracker.update(ring(24, size)).loops[0].id for size in (0.5, 1.5)] == ids
 
 
 def test_vines_follow_a_motion_that_a_matching_loses():

@@ -37,8 +37,7 @@ class Overlap:
 class Event:
     """The outcome of an object or of a detection at a frame.
 
-    A "match" with another identity than the last one is a "switch". A "fragment" is added when the object had been lost in
-    between.
+    A "match" with another identity than the last one is a "switch". A "fragment" is added when the object had been lost.
     """
 
     frame: int  #: position in the sequence
@@ -151,35 +150,30 @@ def events(overlaps: Sequence[Overlap], threshold: float = THRESHOLD) -> Iterato
         Least similarity of a match.
     """
     last: dict[int, int] = {}  # of each object: the identity of its last match
-    current: dict[int, int] = {}  # the matches of the last frame with anything in it
+    current: dict[int, int] = {}  # the matches of the last frame that had objects and identities
     for frame, overlap in enumerate(overlaps):
         objects = overlap.objects.tolist()
         ids = overlap.ids.tolist()
-        if not objects or not ids:
-            yield from (Event(frame, "miss", loop, -1) for loop in objects)
-            yield from (Event(frame, "false positive", -1, identity) for identity in ids)
-            continue
-
         # A kept match gains more than all similarities together.
-        kept = np.array([[current.get(loop) == identity for identity in ids] for loop in objects])
-        gain = np.where(_reaches(overlap.similarity, threshold), overlap.similarity + 1000 * kept, 0)
-        matched = {objects[row]: ids[column] for row, column in greatest(gain)}
+        kept = [[current.get(loop) == identity for identity in ids] for loop in objects]
+        gain = overlap.similarity + 1000 * np.reshape(kept, (len(objects), len(ids)))
+        pairs = greatest(np.where(_reaches(overlap.similarity, threshold), gain, 0))
+        matched = {objects[row]: ids[column] for row, column in pairs}
 
         for loop in objects:
             if loop not in matched:
                 yield Event(frame, "miss", loop, -1)
                 continue
-            kind: Kind = "match"
-            if last.get(loop, matched[loop]) != matched[loop]:
-                kind = "switch"
-            yield Event(frame, kind, loop, matched[loop])
+            is_switch = last.get(loop, matched[loop]) != matched[loop]
+            yield Event(frame, "switch" if is_switch else "match", loop, matched[loop])
             if loop in last and loop not in current:
                 yield Event(frame, "fragment", loop, matched[loop])
-        yield from (
-            Event(frame, "false positive", -1, identity) for identity in ids if identity not in matched.values()
-        )
+        for identity in ids:
+            if identity not in matched.values():
+                yield Event(frame, "false positive", -1, identity)
         last |= matched
-        current = matched
+        if objects and ids:
+            current = matched
 
 
 def _higher_order(overlaps: Sequence[Overlap], shape: tuple[int, int]) -> tuple[Array, Array]:
@@ -213,9 +207,8 @@ def greatest(gain: Array) -> list[tuple[int, int]]:
 
 def _numbered(overlaps: Sequence[Overlap]) -> tuple[list[Overlap], tuple[int, int]]:
     """Return the same with objects and identities numbered from 0, and how many there are of each."""
-    nothing = [np.empty(0, np.int64)]
-    objects = np.unique(np.concatenate(nothing + [overlap.objects for overlap in overlaps]))
-    ids = np.unique(np.concatenate(nothing + [overlap.ids for overlap in overlaps]))
+    objects = sorted({int(one) for overlap in overlaps for one in overlap.objects})
+    ids = sorted({int(one) for overlap in overlaps for one in overlap.ids})
     numbered = []
     for overlap in overlaps:
         rows = np.searchsorted(objects, overlap.objects)
@@ -230,6 +223,4 @@ def _reaches(similarity: Array, level: float | Array) -> NDArray[np.bool_]:
 
 
 def _share(part: int, whole: int) -> float:
-    if not whole:
-        return float("nan")
-    return part / whole
+    return part / whole if whole else float("nan")

@@ -11,7 +11,7 @@ Source: the hull measure is that of Antonova et al. 2021, section 6. Taught in c
 from __future__ import annotations
 
 from collections.abc import Callable, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
@@ -34,7 +34,6 @@ def distance_to_hull(point: ArrayLike, points: ArrayLike) -> float:
     Parameters
     ----------
     point, points : (d,) and (n, d) array_like
-
     """
     from scipy.optimize import lsq_linear
 
@@ -57,9 +56,12 @@ class TrackSummary:
     last: int  #: frame of its last appearance
     frames: int  #: in how many frames it appears
     lifetime: float  #: mean lifetime, metres
-    true_loop: int  #: which of the episode's loops it is nearest to, on the mean over its frames; -1 when there is none
-    distance: float  #: mean distance of the mean of its killer triangles from the mean of that loop's vertices, metres
-    in_hull: float  #: share of its frames in which that mean is in the loop's convex hull
+    true_loop: int = (
+        -1
+    )  #: which of the episode's loops it is nearest to, on the mean over its frames; -1 when there is none
+    #: mean distance of the mean of its killer triangles from the mean of that loop's vertices, metres
+    distance: float = float("nan")
+    in_hull: float = float("nan")  #: share of its frames in which that mean is in the loop's convex hull
 
 
 def summarise_tracks(
@@ -82,33 +84,19 @@ def summarise_tracks(
     summaries = []
     for identity, rows in rows_of.items():
         tracked = [states[row][identity] for row in rows]
-        centres = np.array([loop.centre for loop in tracked])
-        true_loop, distance, in_hull = _nearest_loop(centres, points[rows], loops)
-        summary = TrackSummary(
-            id=identity,
-            first=states[rows[0]].frame,
-            last=states[rows[-1]].frame,
-            frames=len(rows),
-            lifetime=float(np.mean([loop.lifetime for loop in tracked])),
-            true_loop=true_loop,
-            distance=distance,
-            in_hull=in_hull,
-        )
+        lifetime = float(np.mean([loop.lifetime for loop in tracked]))
+        summary = TrackSummary(identity, states[rows[0]].frame, states[rows[-1]].frame, len(rows), lifetime)
+        if len(loops):
+            # Compare the centres with the true loop that is nearest on the mean over the frames.
+            centres = np.array([loop.centre for loop in tracked])
+            curves = [points[rows][:, loop] for loop in loops]
+            distances = [np.linalg.norm(curve.mean(axis=1) - centres, axis=1).mean() for curve in curves]
+            nearest = int(np.argmin(distances))
+            pairs = zip(centres, curves[nearest], strict=True)
+            in_hull = float(np.mean([distance_to_hull(centre, hull) <= 1e-9 for centre, hull in pairs]))
+            summary = replace(summary, true_loop=nearest, distance=float(distances[nearest]), in_hull=in_hull)
         summaries.append(summary)
     return sorted(summaries, key=lambda summary: (-summary.frames, -summary.lifetime))
-
-
-def _nearest_loop(
-    centres: Array, points: NDArray[np.floating], loops: Sequence[NDArray[np.integer]]
-) -> tuple[int, float, float]:
-    """Return which true loop is nearest to the centres, its mean distance, and the share of the centres in its hull."""
-    if not len(loops):
-        return -1, float("nan"), float("nan")
-    distances = [np.linalg.norm(points[:, loop].mean(axis=1) - centres, axis=1).mean() for loop in loops]
-    nearest = int(np.argmin(distances))
-    hulls = points[:, loops[nearest]]
-    inside = [distance_to_hull(centre, hull) <= 1e-9 for centre, hull in zip(centres, hulls, strict=True)]
-    return nearest, float(distances[nearest]), float(np.mean(inside))
 
 
 @dataclass(frozen=True, eq=False)
@@ -122,10 +110,11 @@ class TrueLoops:
     tight: tuple[Ids, ...] = ()  #: of each the vertices of another curve of its class, a tight one
 
 
-def true_loops(
-    points: NDArray[np.floating], loops: Sequence[NDArray[np.integer]], *, alpha: float | None = None
-) -> list[TrueLoops]:
+def true_loops(points: NDArray[np.floating], loops: Sequence[NDArray[np.integer]]) -> list[TrueLoops]:
     """Return, frame by frame, where the true loops are and which of them are there.
+
+    A loop counts when its class lives for alpha or longer. Here alpha is `topokit.sampling.spacing` of the frame's vertices, as
+    in `SeqPH(loops="alpha")`; the default tracker estimates a smaller one.
 
     Parameters
     ----------
@@ -133,16 +122,14 @@ def true_loops(
         All vertices, without noise, metres.
     loops : sequence of (L,) int arrays
         Closed cycles of vertex ids.
-    alpha : float, optional
-        How long the class of a loop must live to count. When not given, for each frame `topokit.sampling.spacing` of its
-        vertices, as `SeqPH(loops="alpha")` has it; the default tracker estimates a smaller alpha.
     """
-    return [_true_loops(as_points(cloud, f"frame {frame}"), loops, alpha) for frame, cloud in enumerate(points)]
+    return [_true_loops(as_points(cloud, f"frame {frame}"), loops) for frame, cloud in enumerate(points)]
 
 
-def _true_loops(vertices: Array, loops: Sequence[NDArray[np.integer]], alpha: float | None) -> TrueLoops:
+def _true_loops(vertices: Array, loops: Sequence[NDArray[np.integer]]) -> TrueLoops:
     curves = [vertices[np.asarray(loop)] for loop in loops]
-    extents = [extent(curve) for curve in curves]
+    centres = [curve_centroid(curve) for curve in curves]
+    radii = [np.linalg.norm(curve - centre, axis=1).max() for curve, centre in zip(curves, centres, strict=True)]
     diagram = rips_persistence(vertices)
     killers = diagram.killers_of(loops)
 
@@ -156,20 +143,13 @@ def _true_loops(vertices: Array, loops: Sequence[NDArray[np.integer]], alpha: fl
     # The class lives from the curve's own longest edge to its killer edge.
     births = np.array([side_lengths(curve).max() / 2 for curve in curves])
     deaths = np.linalg.norm(vertices[killers[:, 0]] - vertices[killers[:, 1]], axis=1) / 2
-    least = spacing(vertices) if alpha is None else alpha
     return TrueLoops(
-        centres=np.reshape([centre for centre, _ in extents], (-1, vertices.shape[1])),
-        radii=np.array([radius for _, radius in extents]),
+        centres=np.reshape(centres, (-1, vertices.shape[1])),
+        radii=np.array(radii),
         killers=killers,
-        present=deaths - births >= least,
+        present=deaths - births >= spacing(vertices),
         tight=tuple(tight),
     )
-
-
-def extent(curve: Array) -> tuple[Array, float]:
-    """Return the centroid (d,) of a closed curve (n, d), by length, and the distance of its farthest vertex."""
-    centre = curve_centroid(curve)
-    return centre, float(np.linalg.norm(curve - centre, axis=1).max())
 
 
 def by_place(truth: TrueLoops, state: TopologicalState) -> Array:
@@ -204,8 +184,6 @@ def compare(
     ValueError
         When `states` and `truth` differ in their number of frames.
     """
-    if len(states) != len(truth):
-        raise ValueError(f"states has {len(states)} frames, truth {len(truth)}; track the same sequence")
     overlaps = []
     for true, state in zip(truth, states, strict=True):
         table = similarity(true, state)
