@@ -70,11 +70,9 @@ def plot_diagram(diagram: Diagram | TopologicalState, ax: Axes | None = None, *,
         axes.plot([0, high - alpha], [alpha, high], color="0.55", linewidth=1, linestyle="--", label="lifetime = alpha")
     longest = max((death - birth for birth, death, _, _ in points), default=0.0)
     for birth, death, colour, name in points:
-        marker = "o"
-        height = death
-        if np.isinf(death):  # no edge has ended it yet
-            marker = "^"
-            height = high
+        # A triangle at the top is a loop that no edge has ended yet.
+        marker = "^" if np.isinf(death) else "o"
+        height = min(death, high)
         style: dict[str, Any] = {"markersize": 7} if name else {"markersize": 5, "alpha": 0.8}
         axes.plot(birth, height, marker, color=colour, markeredgecolor="white", mew=0.4, **style)
         if name and death - birth >= longest / 2:
@@ -98,21 +96,17 @@ def plot_tracks(states: Sequence[TopologicalState], ax: Axes | None = None) -> A
     named = long_lived(states)
     table = lifetimes(states)
     for loop_id in sorted(table, key=lambda i: i in named):
-        _draw_track(axes, times, table[loop_id], loop_id, bold=loop_id in named)
+        values = table[loop_id]
+        present = np.flatnonzero(np.isfinite(values))
+        style: dict[str, Any] = {"color": loop_colour(loop_id), "marker": "." if len(present) == 1 else None}
+        if loop_id not in named:
+            axes.plot(times, values, label=f"_{loop_id}", alpha=0.35, linewidth=1.0, **style)
+            continue
+        name = f"loop {loop_id}"
+        axes.plot(times, values, label=name, linewidth=2.2, **style)
+        middle = present[len(present) // 2]
+        offset: dict[str, Any] = {"xytext": (0, 7), "textcoords": "offset points", "ha": "center"}
+        axes.annotate(name, (times[middle], values[middle]), color=style["color"], **offset)
     axes.set(xlabel="time", ylabel="lifetime")
     axes.set_ylim(0.0, 1.25 * max((np.nanmax(v) for v in table.values()), default=0.8))
     return axes
-
-
-def _draw_track(axes: Axes, times: Array, values: Array, loop_id: int, *, bold: bool) -> None:
-    present = np.flatnonzero(np.isfinite(values))
-    colour = loop_colour(loop_id)
-    marker = "." if len(present) == 1 else None
-    if not bold:
-        axes.plot(times, values, label=f"_{loop_id}", color=colour, marker=marker, alpha=0.35, linewidth=1.0)
-        return
-    name = f"loop {loop_id}"
-    axes.plot(times, values, label=name, color=colour, marker=marker, linewidth=2.2)
-    middle = present[len(present) // 2]
-    offset: dict[str, Any] = {"xytext": (0, 7), "textcoords": "offset points", "ha": "center"}
-    axes.annotate(name, (times[middle], values[middle]), color=colour, **offset)

@@ -69,7 +69,7 @@ class HtmlFigure:
         code = "\n".join(_code_lines(folder, ["frame.js", *scripts, f"{name}.js"]))
         parts = {
             "NAME": name,
-            "STYLE": _text(folder, "frame.css") + _own_style(folder, name),
+            "STYLE": _text(folder, "frame.css") + _text(folder, f"{name}.css", missing=""),
             "PARTS": _text(folder, f"{name}.html"),
             "SCRIPT": f"(() => {{\n{code}\n}})();",
             "DATA": encoded.replace("<", "\\u003c"),  # "</script>" and "<!--" in a script element are markup
@@ -129,27 +129,21 @@ class HtmlFigure:
         return path
 
 
-def _text(folder: Path, file: str) -> str:
+def _text(folder: Path, file: str, missing: str | None = None) -> str:
+    """Return the text of a file of a folder, or else of this package."""
     path = folder / file
     if not path.exists():
         path = _PARTS / file
+    if missing is not None and not path.exists():
+        return missing
     return path.read_text(encoding="utf-8")
-
-
-def _own_style(folder: Path, name: str) -> str:
-    path = folder / f"{name}.css"
-    if path.exists():
-        return path.read_text(encoding="utf-8")
-    return ""
 
 
 def _code_lines(folder: Path, scripts: Sequence[str]) -> Iterator[str]:
     """Yield the lines of scripts without indentation and without lines that are comments."""
     for script in scripts:
-        for line in _text(folder, script).splitlines():
-            line = line.strip()
-            if line and not line.startswith("//"):
-                yield line
+        lines = map(str.strip, _text(folder, script).splitlines())
+        yield from (line for line in lines if line and not line.startswith("//"))
 
 
 # ---- arrays in JSON ------------------------------------------------------------------------------------------------

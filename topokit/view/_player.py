@@ -55,13 +55,9 @@ def player(
     named = long_lived(states)
     if start is None:
         start = int(np.nanargmax(lifetimes(states)[named[0]])) if named else 0
-    target = episode.physics.get("target")
-    radius = target.get("radius", 0.01) if isinstance(target, dict) else 0.01
-
     cloth = HtmlFigure.cloth(episode.points, episode.faces, episode.loops)
     arrays = {"points": cloth.pop("points"), "faces": cloth.pop("faces"), **_tracks(states)}
-    line = np.reshape(episode.centre_line, (-1, 3)).astype(float)
-    arrays["line"] = pack_coordinates(subdivide(line))
+    arrays["line"] = pack_coordinates(subdivide(np.asarray(episode.centre_line, dtype=float)))
     arrays["grippers"] = pack_coordinates(episode.grippers)
     arrays["held"] = np.asarray(episode.held, dtype=bool)
     data = {
@@ -69,7 +65,7 @@ def player(
         "arrays": arrays,
         "dt": float(episode.dt),
         "unit": "m",
-        "thickness": float(radius),
+        "thickness": float(episode.physics.get("target", {}).get("radius", 0.01)),
         "start": int(start),
         "view": list(view),
         "long": list(named),
