@@ -117,7 +117,7 @@ def test_a_true_loop_that_is_not_there_is_not_asked_for():
 def test_likelihood_is_that_of_the_mixture():
     """An opening that is a dot has one point; the points of a wide one are uniform, so many of them give the integral."""
     states = said([(0.02, 0, 0.01)], [0.05])
-    mixture = states[0].loops(0)[0].mixture()
+    mixture = states[0].mixtures(0)[0]
     dot = score(states, circle(radius=1e-6))
     assert dot["nll"][0] == pytest.approx(-mixture.log_prob(np.zeros(3)), rel=1e-3)
     assert np.isnan(dot["nll"][1])  # step 2 is none of the fine ones
