@@ -3,18 +3,21 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Iterator
+from functools import lru_cache
 
 import numpy as np
 from spoilt import spoil
 
 import topokit as tk
 from topokit.io import Episode
+from topokit.sampling import covering_radius
 from topokit.sim import Camera
 
 CAMERA = Camera(eye=(-0.8, -2.3, 1.6), target=(0.0, 0.0, 1.2), fov=60.0, width=192, height=192)
 SECOND = Camera(eye=(1.4, 2.0, 1.6), target=(0.0, 0.0, 1.2), fov=60.0, width=192, height=192)
 SEEN = 500  # points that cameras give together
 CAMERAS = ("one camera", "two cameras", "a depth camera's flaws")
+SPOILT = ("noise", "outliers", "repeated")  # conditions, by how they begin, in which a spoilt cloud has all vertices
 Clouds = list[np.ndarray]
 
 
@@ -44,6 +47,46 @@ def conditions(episode: Episode) -> Iterator[tuple[str, Clouds, int]]:
         [seen(f, episode.faces, (CAMERA,), lambda *see: flawed(*see, rng)) for f in points],
         1,
     )
+
+
+def true_parameters(episode: Episode, name: str, clouds: Clouds, stride: int) -> dict[str, float]:
+    """Return the alpha and the epsilon that the paper's Algorithm 1 is given, of a film in a condition.
+
+    Each is the smallest number for which the paper's assumption holds in all frames that are used.
+
+    Alpha (Assumption 1) is the covering radius of the scene by the clean observed points, those before noise, stray points and
+    repetitions. The scene is all vertices and the midpoints of all edges of the mesh, so that the surface counts. A camera
+    cannot cover what it does not see: there the scene is the pixels of a picture without flaws, and the clean observed points
+    are the farthest-point sample of them.
+
+    Epsilon (Assumption 2) is the largest displacement of a vertex between two frames that follow each other.
+
+    Beta is not among them. The tracker takes the longest killer edge of a step, as it does where alpha is guessed. Assumption 3
+    asks for a beta that is at least the distance from a killer edge to the point of the scene that is farthest from it. With
+    such a beta the gate for places would exclude no pair. So the two trackers of the paper differ in alpha and epsilon alone.
+    """
+    used = episode.points[::stride].astype(float)
+    epsilon = float(np.linalg.norm(np.diff(used, axis=0), axis=2).max())
+    if name in CAMERAS:
+        return {
+            "alpha": seen_radius(episode, (CAMERA, SECOND) if name == "two cameras" else (CAMERA,)),
+            "epsilon": epsilon,
+        }
+    edges = np.unique(np.sort(episode.faces[:, [[0, 1], [1, 2], [2, 0]]].reshape(-1, 2)), axis=0)
+    clean = used if name.startswith(SPOILT) else clouds
+    scenes = (np.vstack([frame, frame[edges].mean(axis=1)]) for frame in used)
+    alpha = max(covering_radius(scene, cloud) for scene, cloud in zip(scenes, clean, strict=True))
+    return {"alpha": alpha, "epsilon": epsilon}
+
+
+@lru_cache(maxsize=2)
+def seen_radius(episode: Episode, cameras: tuple[Camera, ...]) -> float:
+    """Return the largest distance, over all frames, from a pixel without flaws to the sample that is shown of the pixels."""
+    radii = []
+    for frame in episode.points.astype(float):
+        pixels = looked_at(frame, episode.faces, cameras)
+        radii.append(tk.farthest_point_sample(pixels, min(SEEN, len(pixels)))[1])
+    return max(radii)
 
 
 def strewn(frame: np.ndarray, faces: np.ndarray, n: int, rng: np.random.Generator) -> np.ndarray:
@@ -82,6 +125,14 @@ Flaw = Callable[[Camera, Depth, np.ndarray], Depth]
 
 def seen(frame: np.ndarray, faces: np.ndarray, cameras: tuple[Camera, ...], flaw: Flaw | None = None) -> np.ndarray:
     """Return (n, 3) a farthest-point sample of the pixels that cameras have of the cloth."""
+    pixels = looked_at(frame, faces, cameras, flaw)
+    return pixels[tk.farthest_point_sample(pixels, min(SEEN, len(pixels)))[0]]
+
+
+def looked_at(
+    frame: np.ndarray, faces: np.ndarray, cameras: tuple[Camera, ...], flaw: Flaw | None = None
+) -> np.ndarray:
+    """Return (n, 3) the pixels that cameras have of the cloth."""
     surface = filled(frame, faces)
     parts = []
     for camera in cameras:
@@ -89,8 +140,7 @@ def seen(frame: np.ndarray, faces: np.ndarray, cameras: tuple[Camera, ...], flaw
         if flaw is not None:
             depth = flaw(camera, depth, surface)
         parts.append(camera.unproject(depth, np.isfinite(depth)))
-    pixels = np.vstack(parts)
-    return pixels[tk.farthest_point_sample(pixels, min(SEEN, len(pixels)))[0]]
+    return np.vstack(parts)
 
 
 def filled(frame: np.ndarray, faces: np.ndarray, steps: int = 6) -> np.ndarray:

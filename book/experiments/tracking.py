@@ -32,7 +32,7 @@ from topokit.sensors import CloudMemory
 from topokit.seqph import PAPER as PAPERS
 from topokit.sim import TASKS, Randomisation, SimulationError, simulate
 
-from _tracking_clouds import CAMERA, SEEN, Clouds, conditions
+from _tracking_clouds import CAMERA, SEEN, Clouds, conditions, true_parameters
 
 sys.path.append(str(Path(__file__).parents[2] / "notebooks"))
 from chapter_tools.trackers import by_diagram, by_killer, by_midpoint, track_vines
@@ -61,7 +61,7 @@ def paper(**options: Any) -> Follow:
 
 
 TRACKERS: dict[str, Follow] = {
-    "paper": paper(),
+    "paper, alpha guessed": paper(),
     "killer-triangles": paper(identity="killer-triangles"),
     "cycle": paper(identity="cycle"),
     "memory": paper(memory=MEMORY),
@@ -70,13 +70,16 @@ TRACKERS: dict[str, Follow] = {
     "nearest midpoint": paper(match=by_midpoint),
     "default": lambda clouds, _: tk.track(clouds, n_jobs=1),
 }
-"""The paper's tracker, one thing changed in it; what was recommended before the default; other matchings; the default."""
-PAPER = "paper"
+"""The paper's tracker with our guess of alpha, and with one thing changed; what was recommended before the default; other
+matchings; the default."""
+PAPER = "paper, alpha guessed"
+GIVEN = "paper, alpha given"  # its parameters are of the film and the condition, see `true_parameters`
 RECOMMENDED = "default"
 WITH_MEMORY = (
     "default, with a memory"  # of the cloud: what one camera sees now and saw before, and what it looks through
 )
-MAIN = (PAPER, "yesterday's", RECOMMENDED)  # the others are in some conditions alone
+MAIN = (PAPER, GIVEN, "yesterday's", RECOMMENDED)  # the others are in some conditions alone
+SEVERAL = (PAPER, GIVEN, *list(TRACKERS)[1:])
 COMPARED = ("all vertices", "every 4th frame", "250 points", "noise of 5 mm", "one camera")
 VINES = "vines"
 VINES_IN = ("all vertices", "every 4th frame", "noise of 5 mm")
@@ -117,12 +120,22 @@ def row_of(path: Path) -> dict[str, Any]:
     """Return all that is measured on an episode."""
     episode = load_episode(path)
     truth = true_loops(episode.points, episode.loops)
-    row: dict[str, Any] = {"episode": path.stem, "frames": len(episode), "scores": {}, "levels": {}, "failures": []}
+    row: dict[str, Any] = {
+        "episode": path.stem,
+        "frames": len(episode),
+        "given": {},
+        "scores": {},
+        "levels": {},
+        "failures": [],
+    }
     for name, clouds, stride in conditions(episode):
         true = truth[::stride]
         diagrams = tk.rips_persistence_many(clouds)
-        wanted = TRACKERS if name in COMPARED else MAIN
-        films = {label: TRACKERS[label](clouds, diagrams) for label in wanted}
+        wanted = SEVERAL if name in COMPARED else MAIN
+        given = true_parameters(episode, name, clouds, stride)
+        trackers = TRACKERS | {GIVEN: paper(**given)}
+        films = {label: trackers[label](clouds, diagrams) for label in wanted}
+        row["given"][name] = {key: round(value, 6) for key, value in given.items()}
         if name == "one camera":
             films[WITH_MEMORY] = remembered(clouds)
         if name in VINES_IN:
@@ -254,7 +267,7 @@ def pooled(rows: list[dict[str, Any]], samples: int = 1000) -> dict[str, Any]:
     for condition in (*rows[0]["scores"], SOME, TOGETHER):
         table[condition] = {}
         first = None
-        for tracker in {TOGETHER: MAIN, SOME: TRACKERS}.get(condition) or rows[0]["scores"][condition]:
+        for tracker in {TOGETHER: MAIN, SOME: SEVERAL}.get(condition) or rows[0]["scores"][condition]:
             scores = [score_of(row, condition, tracker) for row in rows]
             line, drawn_values = with_intervals(scores, weights)
             table[condition][tracker] = line
@@ -328,9 +341,18 @@ def summary(rows: list[dict[str, Any]]) -> dict[str, Any]:
             }
             for garment in garments
         },
+        "given": {
+            name: {key: median_of(row["given"][name][key] for row in rows) for key in rows[0]["given"][name]}
+            for name in rows[0]["given"]
+        },
         "places": {condition: where(rows, condition) for condition in rows[0]["places"]},
         "failures": listed([failure for row in rows for failure in row["failures"]]),
     }
+
+
+def median_of(values: Iterable[float]) -> float:
+    """Return the median of some numbers of films."""
+    return round(float(np.median(list(values))), 4)
 
 
 def listed(failures: list[dict[str, Any]]) -> dict[str, Any]:
