@@ -167,14 +167,6 @@ def test_every_task_has_an_id():
     env.close()
 
 
-@pytest.mark.parametrize(
-    ("options", "named"), [({"task": "tie-nail"}, "tie-nail"), ({"task": "shirt-mannequin"}, "neck, hem.*apron")]
-)
-def test_tasks_that_there_are_not_are_named(options, named):
-    with pytest.raises(ValueError, match=named):
-        HangEnv(garment=COARSE, **options)
-
-
 # The disturbances of book/experiments and of chapter 16.
 
 

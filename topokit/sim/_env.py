@@ -233,7 +233,12 @@ class HangEnv(gymnasium.Env[Observation, NDArray[np.float32]]):
             self._cloud = cloud if len(cloud) else self._cloud
         else:
             self._cloud = self.vertices[farthest_point_sample(self.vertices, self.n_points)[0]]
-        self._linked, self._distance = self._potential()
+        curves = [self.vertices[loop] for loop in self._wanted_loops]
+        linked = [self.target.holds(curve) for curve in curves]
+        distances = [float(np.linalg.norm(curve.mean(axis=0) - self.target.seat)) for curve in curves]
+        every = self.task.all_loops
+        self._linked = sum(linked) / len(linked) if every else float(any(linked))
+        self._distance = float(np.mean(distances)) if every else min(distances)
         places = {
             "points": self._cloud,
             "grippers": self.world.grippers(),
@@ -243,15 +248,6 @@ class HangEnv(gymnasium.Env[Observation, NDArray[np.float32]]):
         }
         clipped = {name: np.clip(place, -_FARTHEST, _FARTHEST).astype(np.float32) for name, place in places.items()}
         return {**clipped, "needed": self._needed, "held": int(self._release_step < 0)}
-
-    def _potential(self) -> tuple[float, float]:
-        """Return the share of the task's loops that are around the target, and their distance from its seat."""
-        curves = [self.vertices[loop] for loop in self._wanted_loops]
-        linked = [self.target.holds(curve) for curve in curves]
-        distances = [float(np.linalg.norm(curve.mean(axis=0) - self.target.seat)) for curve in curves]
-        if self.task.all_loops:
-            return sum(linked) / len(linked), float(np.mean(distances))
-        return float(any(linked)), min(distances)
 
 
 for _task in TASKS:
