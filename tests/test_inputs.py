@@ -109,7 +109,7 @@ def test_a_controller_keeps_no_buffer_of_its_caller(episode_path):
         lambda number: tk.SeqPH(epsilon=number),
         lambda number: tk.SeqPH(memory=number),
         lambda number: tk.SeqPH().update(RING, time=number),
-        lambda number: tk.SeqPH().skip(time=number),
+        lambda number: tk.SeqPH().update(None, time=number),
         lambda number: tk.track([RING] * 2, times=[0.0, number]),
         lambda number: tk.rips_persistence(RING, max_radius=number),
         lambda number: tk.rips_persistence(RING, min_lifetime=number),
@@ -211,7 +211,7 @@ def test_in_an_empty_frame_nothing_was_seen(nothing):
     tracker = tk.SeqPH()
     one_by_one = [tracker.update(cloud) for cloud in film]
     tracker = tk.SeqPH()
-    skipped = [tracker.update(RING), tracker.skip(), tracker.update(RING)]
+    skipped = [tracker.update(RING), tracker.update(None), tracker.update(RING)]
     for states in (tk.track(film), one_by_one, list(tk.SeqPH().stream(film))):
         assert [[loop.id for loop in state] for state in states] == [[0], [], [0]]
         assert [state.time for state in states] == [state.time for state in skipped]

@@ -104,11 +104,6 @@ def test_known_links(name):
     assert linking_number(a * [1, 1, -1], b * [1, 1, -1]) == -number
 
 
-def test_sign_is_the_right_handed_one():
-    """A counter-clockwise circle, and a line that comes up through it: +1, as Ampere's law counts."""
-    assert linking_number(circle(), close_far([[0, 0, -1], [0, 0, 1]])) == 1
-
-
 corner = st.tuples(*[st.integers(-6, 6)] * 3)
 curves = st.lists(corner, min_size=3, max_size=9, unique=True).map(lambda c: np.array(c, dtype=float))
 
@@ -187,15 +182,9 @@ def test_touching_curves(other, where, offset):
 
 
 def test_a_pole_is_closed_far_away():
-    pole = close_far([[0, 0, 0], [0, 0, 1]])
-    ring = circle(radius=0.2)
-    assert abs(linking_number(ring + [0, 0, 0.5], pole)) == 1
-    assert linking_number(ring + [0, 0, 0.5], pole) == linking_number(
-        ring + [0, 0, 3], pole
-    )  # beyond its end, on its lead
-    assert linking_number(ring + [0.5, 0, 0.5], pole) == 0
-    np.testing.assert_array_equal(pole[:2], [[0, 0, 0], [0, 0, 1]])
-    assert np.linalg.norm(pole[2:], axis=1).min() >= 99
+    """Rings around it, beyond its end on its lead, and beside it; a line up through a counter-clockwise circle counts +1."""
+    rings = circle(radius=0.2) + np.array([[0, 0, 0.5], [0, 0, 3], [0.5, 0, 0.5]])[:, None]
+    assert linking_numbers(rings, close_far([[0, 0, 0], [0, 0, 1]]))[0].tolist() == [1, 1, 0]
 
 
 @pytest.mark.parametrize("start", [(0, 0, -1), (0, 0, 1), (3, 1, -1), (0, 1, 0)])
@@ -253,12 +242,6 @@ def test_far_away_is_where_it_is_said_to_be():
     np.testing.assert_array_equal(closed[:4], curve)
     assert closed[4:].tolist() == [[1, 4, 402], [-399, 4, 402], [-400, -400, 0], [0, -400, 0]]
     assert close_far(curve, far=10.0)[4].tolist() == [1, 4, 42]
-    with pytest.raises(ValueError, match="extent"):
-        close_far([[0, 0, 0], [0, 0, 0]])
-    with pytest.raises(ValueError, match="end"):
-        close_far(curve, end=(0, 0))
-    with pytest.raises(ValueError, match="corners"):
-        close_far([[0, 0, 0]])
 
 
 def test_distances_from_segments_are_those_of_bounded_least_squares():
@@ -278,35 +261,25 @@ def test_sides_and_the_centroid_of_a_curve_whose_corners_crowd_on_one_side():
     np.testing.assert_allclose(curve_centroid(square), [1, 1])
 
 
-# -- refusals ----------------------------------------------------------------------------------------------------------
-
-
-@pytest.mark.parametrize(
-    ("curve", "names"),
-    [
-        (SQUARE[:2], r"curve_b .*\(2, 3\).*close_far"),
-        (SQUARE[:, :2], r"curve_b .*\(4, 2\)"),
-        (np.vstack([SQUARE, SQUARE[:1]]), "curve_b .* corners 0 and 4"),
-        (SQUARE[[0, 1, 1, 2, 3]], r"corners 1 and 2 .*\[1.0, 0.0, 0.0\]"),
-    ],
-)
-def test_a_curve_that_is_none_is_named(curve, names):
-    with pytest.raises(ValueError, match=names):
-        linking_number(SQUARE + [0, 0, 9], curve)
-
-
 MANY = np.stack([SQUARE + [0, 0, k] for k in range(3)])
 
 
 @pytest.mark.parametrize(
-    ("a", "b", "names"),
+    ("call", "names"),
     [
-        (MANY, SQUARE + [0.5, 0, 2], r"curves_a\[2\] .* curves_b\[0\]"),
-        (MANY, MANY[:2] + 9, "3 and 2"),
-        (MANY[:0], SQUARE, r"curves_a .*\(0, 4, 3\)"),
-        ([SQUARE, SQUARE[[0, 0, 1, 2]]], SQUARE + 9, r"curves_a\[1\] .*corner"),
+        (lambda: linking_number(SQUARE + 9, SQUARE[:2]), r"curve_b .*\(2, 3\).*close_far"),
+        (lambda: linking_number(SQUARE + 9, SQUARE[:, :2]), r"curve_b .*\(4, 2\)"),
+        (lambda: linking_number(SQUARE + 9, SQUARE[[0, 1, 2, 3, 0]]), "curve_b .* corners 0 and 4"),
+        (lambda: linking_number(SQUARE + 9, SQUARE[[0, 1, 1, 2, 3]]), r"corners 1 and 2 .*\[1.0, 0.0, 0.0\]"),
+        (lambda: linking_numbers(MANY, SQUARE + [0.5, 0, 2]), r"curves_a\[2\] .* curves_b\[0\]"),
+        (lambda: linking_numbers(MANY, MANY[:2] + 9), "3 and 2"),
+        (lambda: linking_numbers(MANY[:0], SQUARE), r"curves_a .*\(0, 4, 3\)"),
+        (lambda: linking_numbers([SQUARE, SQUARE[[0, 0, 1, 2]]], SQUARE + 9), r"curves_a\[1\] .*corner"),
+        (lambda: close_far([[0, 0, 0], [0, 0, 0]]), "extent"),
+        (lambda: close_far([[0, 0, 0], [0, 0, 1]], end=(0, 0)), "end"),
+        (lambda: close_far([[0, 0, 0]]), "corners"),
     ],
 )
-def test_a_batch_that_is_none_is_named(a, b, names):
+def test_what_is_no_curve_is_named(call, names):
     with pytest.raises(ValueError, match=names):
-        linking_numbers(a, b)
+        call()

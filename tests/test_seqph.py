@@ -187,7 +187,7 @@ def test_memory_gives_a_loop_that_was_missed_its_identity_back():
     for memory, last in ((0, 1), (1, 1), (2, 0)):
         assert ids(track(frames, memory=memory, **options)) == [[0], [], [], [last]]
         tracker = SeqPH(memory=memory, **options)
-        states = [tracker.update(frames[0]), tracker.skip(), tracker.skip(), tracker.update(frames[3])]
+        states = [tracker.update(frames[0]), tracker.update(None), tracker.update(None), tracker.update(frames[3])]
         assert ids(states) == [[0], [], [], [last]]
     too_far = [*frames[:3], polygon(20) + [3.0, 0]]
     assert ids(track(too_far, memory=2, **options)) == [[0], [], [], [1]]

@@ -71,7 +71,7 @@ class CloudMemory:
         ------
         ValueError
             When the cloth has too few places, an array is not (n, 3), or a coordinate is not finite. For a frame in which the
-            cloth is hidden, call `SeqPH.skip` in place of this.
+            cloth is hidden, give None to the tracker.
         """
         cloth = _in_space(points, "points")
         others = _in_space(np.zeros((0, 3)) if around is None else around, "around")

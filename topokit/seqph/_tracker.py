@@ -173,7 +173,8 @@ class SeqPH:
         Parameters
         ----------
         points : (n, d) array_like
-            Cloud, which is copied. Clouds may differ in n, not in d. In one that is None or empty nothing was seen (`skip`).
+            Cloud, which is copied. Clouds may differ in n, not in d. In one that is None or empty nothing was seen: the state
+            has no loops, and known loops are remembered.
         time : float, optional
             Time in seconds, for all frames or for none; the frame's number when not given.
         diagram : Diagram, optional
@@ -186,13 +187,13 @@ class SeqPH:
             When the cloud has a NaN, or another dimension than the one before; when its time is not later than the last; when
             the diagram has another number of points, or a loop that does not die.
         """
+        seconds = check_time(self._number, time, self._seconds)
         if is_empty(points):
-            return self.skip(time=time)
+            return self._skip(seconds)
         tree = as_tree(points, f"frame {self._number}", copy=True)
         dimension = None if self._last_frame is None else self._last_frame.tree.m
         if dimension not in (None, tree.m):
             raise ValueError(f"frame {self._number} has {tree.m} dimensions, the frames before it have {dimension}")
-        seconds = check_time(self._number, time, self._seconds)
         frame = self._frame(tree)
         if diagram is None:
             diagram = rips_persistence(tree.data[frame.ids])
@@ -202,24 +203,6 @@ class SeqPH:
         else:
             frame = replace(frame, ids=np.arange(tree.n))
         return self._advance(tree.data, frame, diagram, seconds)
-
-    def skip(self, *, time: float | None = None) -> TopologicalState:
-        """Take a frame in which nothing was seen, and return its state without loops; known loops are remembered.
-
-        Parameters
-        ----------
-        time : float, optional
-            Time in seconds, as in `update`.
-        """
-        seconds = check_time(self._number, time, self._seconds)
-        epsilon = self.epsilon or 0.0
-        parameters = {"alpha": self.alpha or 0.0, "beta": self.beta or 0.0, "epsilon": epsilon}
-        state = TopologicalState(self._number, seconds, (), parameters)
-        frames = self._frames_until(seconds)
-        carried = [loop.carried(0.0, epsilon, frames) for loop in self._known]
-        self._known = [loop for loop in carried if loop.missed <= self.memory]
-        self._pass(seconds)
-        return state
 
     def stream(self, frames: Iterable[ArrayLike]) -> Iterator[TopologicalState]:
         """Yield the state of every frame as it comes; only the input of the next frame is kept.
@@ -268,9 +251,19 @@ class SeqPH:
 
     def _frame(self, tree: cKDTree) -> Frame:
         """Return the points that this tracker takes from a cloud."""
-        if self.loops == "alpha":
-            return Frame.of_all_points(tree, self.alpha)
-        return Frame.without_outliers(tree, self.alpha)
+        points_of = Frame.of_all_points if self.loops == "alpha" else Frame.without_outliers
+        return points_of(tree, self.alpha)
+
+    def _skip(self, seconds: float) -> TopologicalState:
+        """Return the state of a frame in which nothing was seen."""
+        epsilon = self.epsilon or 0.0
+        parameters = {"alpha": self.alpha or 0.0, "beta": self.beta or 0.0, "epsilon": epsilon}
+        state = TopologicalState(self._number, seconds, (), parameters)
+        frames = self._frames_until(seconds)
+        carried = [loop.carried(0.0, epsilon, frames) for loop in self._known]
+        self._known = [loop for loop in carried if loop.missed <= self.memory]
+        self._pass(seconds)
+        return state
 
     def _advance(self, cloud: Array, frame: Frame, diagram: Diagram, seconds: float) -> TopologicalState:
         """Return the state of a checked frame whose persistence is known: one turn of Algorithm 1.
@@ -446,18 +439,17 @@ def track(
     if len(stamps) != len(clouds):
         raise ValueError(f"times has {len(stamps)} values for {len(clouds)} frames")
     tracker = SeqPH(**options)
-    seconds: list[float] = []
+    seconds = [-np.inf]
     for number, time in enumerate(stamps):
-        before = seconds[-1] if seconds else -np.inf
-        seconds.append(check_time(number, time, before))
+        seconds.append(check_time(number, time, seconds[-1]))
 
     # Persistence of all frames at once, then the matching frame by frame.
     frames = [tracker._frame(as_tree(cloud)) if len(cloud) else None for cloud in clouds]
     counted = [cloud if frame is None else cloud[frame.ids] for cloud, frame in zip(clouds, frames, strict=True)]
     diagrams = rips_persistence_many(counted, n_jobs, progress=progress)
     return [
-        tracker.skip(time=time) if frame is None else tracker._advance(cloud, frame, diagram, time)
-        for cloud, frame, diagram, time in zip(clouds, frames, diagrams, seconds, strict=True)
+        tracker._skip(time) if frame is None else tracker._advance(cloud, frame, diagram, time)
+        for cloud, frame, diagram, time in zip(clouds, frames, diagrams, seconds[1:], strict=True)
     ]
 
 
