@@ -85,9 +85,8 @@ class _Options:
 
 def _files_of(path: Path) -> list[Path]:
     """Return the files of a folder, in the order of the numbers in their names, or one file alone."""
-    files = (
-        [existing(path)] if not path.is_dir() else [file for file in path.iterdir() if file.suffix.lower() in _READERS]
-    )
+    every = path.iterdir() if path.is_dir() else [existing(path)]
+    files = [file for file in every if file.suffix.lower() in _READERS or file == path]
     kinds = sorted({file.suffix.lower() for file in files})
     if len(kinds) != 1 or kinds[0] not in _READERS:
         held = ", ".join(kinds) or "no cloud"
@@ -116,15 +115,12 @@ def _clouds_of(array: Array, file: Path, options: _Options) -> Iterator[Array]:
         question = f"are its {array.shape[1]} columns numbers of a point (say which are its place, as columns=), or is it depth"
         raise ValueError(f"an array of shape {array.shape}: {question} (layout='depth')?")
     if layout is None and array.ndim == 3:
-        raise ValueError(
-            f"an array of shape {array.shape}: is its layout a 'film', 'organised' or 'depth'? Say layout="
-        )
+        raise ValueError(f"an array of shape {array.shape}: is its layout 'film', 'organised' or 'depth'? Say layout=")
     if layout == "depth":
         for image in array.reshape(-1, *array.shape[-2:]):
             yield _seen_by_pixels(image, file, options)
         return
-    frames = array if layout == "film" or array.ndim == 4 else array[None]
-    for frame in frames:
+    for frame in array if layout == "film" or array.ndim == 4 else array[None]:
         yield _places(frame.reshape(-1, frame.shape[-1]), options)
 
 
@@ -143,20 +139,15 @@ def _seen_by_pixels(depth: Array, file: Path, options: _Options) -> Array:
     if lens is None:
         beside = file.with_name("intrinsics.json")
         if not beside.is_file():
-            raise ValueError(
-                f"a depth image {depth.shape} needs its lens: intrinsics=, or a file {beside.name} beside it"
-            )
+            raise ValueError(f"a depth image {depth.shape} needs its lens: intrinsics=, or {beside.name} beside it")
         lens = json.loads(beside.read_text(encoding="utf-8"))
     others = sorted(set(lens) - {"fx", "fy", "cx", "cy", "width", "height", "depth_scale"})
     if others:
-        raise ValueError(
-            f"its lens has {', '.join(others)}: give fx, fy, cx, cy of a lens without distortion or skew (cv2.undistort)"
-        )
+        cure = "give fx, fy, cx, cy of a lens without distortion or skew (cv2.undistort)"
+        raise ValueError(f"its lens has {', '.join(others)}: {cure}")
     height, width = depth.shape
     if (lens.get("width", width), lens.get("height", height)) != (width, height):
-        raise ValueError(
-            f"its lens is of an image of {lens['width']} x {lens['height']} pixels, not {width} x {height}"
-        )
+        raise ValueError(f"its lens is of an image of {lens['width']} x {lens['height']}, not {width} x {height}")
     x_focal, y_focal, x_centre, y_centre = (float(as_number(lens.get(name), name)) for name in ("fx", "fy", "cx", "cy"))
 
     scale = options.scale
@@ -198,9 +189,7 @@ def _ply(file: Path, options: _Options) -> Frames:
     vertices = np.asarray(trimesh.load(file, process=False).vertices)  # type: ignore[attr-defined]
     header = re.search(rb"element vertex (\d+)", file.read_bytes())
     if header is None or int(header[1]) != len(vertices):
-        raise ValueError(
-            f"{len(vertices)} vertices were read, and its header counts another number: it is cut off or damaged"
-        )
+        raise ValueError(f"{len(vertices)} vertices were read, and its header counts another number: it is damaged")
     yield None, _places(vertices, options)
 
 
@@ -215,9 +204,8 @@ def _png(file: Path, options: _Options) -> Frames:
 
 def _table(file: Path, options: _Options) -> Frames:
     """Read a table of text: numbers apart by commas, semicolons or blanks; its first line may name them."""
-    lines = [
-        re.split(r"[,;\s]+", line.strip()) for line in file.read_text(encoding="utf-8").splitlines() if line.strip()
-    ]
+    text = file.read_text(encoding="utf-8")
+    lines = [re.split(r"[,;\s]+", line.strip()) for line in text.splitlines() if line.strip()]
     names: list[str] = []
     if not re.fullmatch(r"[-+.\d].*", lines[0][0]):
         names = [name.strip('"#').lower() for name in lines.pop(0)]
@@ -230,9 +218,7 @@ def _table(file: Path, options: _Options) -> Frames:
     try:
         numbers = tuple(names.index(column) if isinstance(column, str) else column for column in columns)
     except ValueError as error:
-        raise ValueError(
-            f"it has no column of such a name ({error}): it has {', '.join(names) or 'no names'}"
-        ) from error
+        raise ValueError(f"it has no such column ({error}): it has {', '.join(names) or 'no names'}") from error
     yield None, _places(rows, replace(options, columns=numbers))
 
 
