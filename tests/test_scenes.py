@@ -12,8 +12,7 @@ pytest.importorskip("pybullet")
 
 from topokit._config import load
 from topokit.data import DatasetConfig, make_episode
-from topokit.data._recipe import _scene
-from topokit.data._sizes import varied_garment, varied_target
+from topokit.data._recipe import _scene, varied_garment, varied_target
 from topokit.sim import TASKS, WARDROBE, Garment, Hanger, Hook, Mannequin, Randomisation, SimulationConfig
 
 MOTION = load(DatasetConfig, Path(__file__).parent.parent / "book" / "datasets" / "motion.json")

@@ -8,7 +8,7 @@ from __future__ import annotations
 import dataclasses
 import functools
 import json
-from collections.abc import Mapping, Sequence
+from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import field
 from typing import Annotated, Any, NamedTuple
 
@@ -30,7 +30,7 @@ from topokit.sim import (
     simulate,
 )
 
-from ._sizes import Target, varied_garment, varied_target
+Target = Hook | Hanger | Mannequin
 
 
 class Draw(NamedTuple):
@@ -169,7 +169,17 @@ def _scene(config: DatasetConfig, name: str, seed: int) -> tuple[Task, Garment, 
     task = task_of(config, name, garment)
     target = task.target
     if config.vary:
-        garment, target = _varied(config, name, task, garment, seed)
+        # The target first, and then a garment that does not touch the floor.
+        rng = Randomisation.generator(seed, "sizes")
+        target = varied_target(target, config.vary / 2, rng)
+        vary = config.vary / 2 if isinstance(target, Mannequin) else config.vary
+        scale = config.randomisation.scale if config.randomisation is not None else None
+        longest = float(target.seat[2]) / (scale[1] if scale else 1.0)
+        if garment.name in config.meshes:
+            garment = _scaled(garment, vary, longest, rng)
+        else:
+            make = functools.partial(task.garment, **config.sizes.get(garment.name, {}))
+            garment = varied_garment(make, garment, vary, rng, longest)
 
     # The same generator decides that a path leaves its script, and draws that path.
     rng = Randomisation.generator(seed, "script")
@@ -182,22 +192,51 @@ def _scene(config: DatasetConfig, name: str, seed: int) -> tuple[Task, Garment, 
     return task, garment, target
 
 
-def _varied(config: DatasetConfig, name: str, task: Task, garment: Garment, seed: int) -> tuple[Garment, Target]:
-    """Return garment and target in other sizes: the target first, and then a garment that does not touch the floor."""
-    rng = Randomisation.generator(seed, "sizes")
-    vary = config.vary
-    if isinstance(task.target, Mannequin):
-        vary /= 2
-    target = varied_target(task.target, config.vary / 2, rng)
+def varied_garment(
+    make: Callable[..., Garment], garment: Garment, vary: float, rng: np.random.Generator, longest: float = np.inf
+) -> Garment:
+    """Return the garment with each size but its spacing multiplied by a factor from 1 / (1 + vary) to 1 + vary.
 
-    largest_scale = 1.0
-    if config.randomisation is not None and config.randomisation.scale:
-        largest_scale = config.randomisation.scale[1]
-    longest = float(target.seat[2]) / largest_scale
-    if garment.name in config.meshes:
-        return _scaled(garment, vary, longest, rng), target
-    make = functools.partial(task.garment, **config.sizes.get(name.rpartition("-")[0], {}))
-    return varied_garment(make, garment, vary, rng, longest), target
+    Sizes are drawn again, at most 50 times, when the pattern refuses them, when the garment has over 1.25 times as many
+    vertices, and when it hangs down more than `longest` metres. After that the garment stays as it is. The spacing follows the
+    area of the cloth.
+    """
+    spacing = garment.parameters["spacing"]
+    extent = np.array(_extent(garment))
+    own = {name: size for name, size in garment.parameters.items() if name != "spacing"}
+    for sizes in _drawn_sizes(own, vary, rng):
+        # The first garment tells how much cloth there is; the second has about as many vertices as the original.
+        try:
+            first = make(**sizes, spacing=spacing)
+            other = make(**sizes, spacing=float(spacing * np.sqrt(len(first.vertices) / len(garment.vertices))))
+        except ValueError:
+            continue
+        if other.length <= longest and (_extent(other) <= 1.25 * extent).all():
+            return other
+    return garment
+
+
+def varied_target(target: Target, vary: float, rng: np.random.Generator) -> Target:
+    """Return the target with its sizes multiplied likewise; no rod gets thinner than 2 cm: cloth tunnels through it."""
+    own = {name: size for name, size in dataclasses.asdict(target).items() if name not in ("distance", "place", "yaw")}
+    for sizes in _drawn_sizes(own, vary, rng):
+        thick = {name: max(size, min(own[name], 0.02)) for name, size in sizes.items() if "radius" in name}
+        try:
+            return dataclasses.replace(target, **sizes | thick)
+        except ValueError:
+            continue
+    return target
+
+
+def _drawn_sizes(sizes: Mapping[str, float], vary: float, rng: np.random.Generator) -> Iterator[dict[str, float]]:
+    """Yield sizes that are multiplied by factors drawn at random, 50 times."""
+    for _ in range(50):
+        factors = np.exp(np.log1p(vary) * rng.uniform(-1, 1, len(sizes))).tolist()
+        yield {name: float(size * factor) for (name, size), factor in zip(sizes.items(), factors, strict=True)}
+
+
+def _extent(garment: Garment) -> list[int]:
+    return [len(garment.vertices), len(garment.faces), *map(len, garment.loops)]
 
 
 def _scaled(garment: Garment, vary: float, longest: float, rng: np.random.Generator) -> Garment:
