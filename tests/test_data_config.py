@@ -119,19 +119,3 @@ def test_a_mesh_varies_as_a_whole(bag):
     assert 1 / 1.5 <= min(factors) < 0.9 < 1.1 < max(factors) <= 1.5
     long = own({**bag, "unit": None, "size": 2.4}, vary=0.5)  # already too long for a hook: it gets no longer
     assert max(_scene(long, "bag-hook", seed)[1].parameters["varied"] for seed in range(20)) <= 1
-
-
-@pytest.mark.parametrize(
-    ("text", "says"),
-    [
-        ("\x00", "not JSON"),
-        ("[1]", "named entries"),
-        ('{"n_observed": NaN}', "n_observed"),
-        ('{"n_observed": "1979-05-27"}', "n_observed"),
-    ],
-)
-def test_a_configuration_of_any_kind_names_the_file(tmp_path, text, says):
-    path = tmp_path / "c.json"
-    path.write_text(text)
-    with pytest.raises(ValueError, match=rf"c\.json.*{says}"):
-        load(DatasetConfig, path)

@@ -6,7 +6,6 @@ import os
 import signal
 import subprocess
 import sys
-import threading
 from pathlib import Path
 
 import psutil
@@ -16,7 +15,8 @@ pytest.importorskip("pybullet")
 from topokit._processes import ProcessError, in_fresh_processes
 from topokit.sim import WARDROBE, SimulationConfig, SimulationError, simulate
 
-from fresh_jobs import crash_until_third, divide, do, temporary, wait
+from conftest import hear_ctrl_c
+from fresh_jobs import crash_until_third, divide, do, temporary
 from small_datasets import wait_until
 
 pytestmark = pytest.mark.skipif(os.name != "posix", reason="signals")
@@ -32,7 +32,7 @@ import sys
 sys.path.insert(0, sys.argv[1])
 from topokit._processes import in_fresh_processes
 import fresh_jobs
-print(list(in_fresh_processes(getattr(fresh_jobs, sys.argv[2]), [sys.argv[3]])))
+list(in_fresh_processes(fresh_jobs.wait, [sys.argv[2]]))
 """
 
 
@@ -94,27 +94,13 @@ def test_a_simulation_that_hangs_is_stopped():
         simulate(apron, config=config, n_observed=50, time_limit=5)
 
 
-def test_ctrl_c_stops_the_processes(tmp_path):
+@pytest.mark.parametrize("number", [signal.SIGINT, signal.SIGTERM, signal.SIGKILL])
+def test_nothing_is_left_of_an_owner_that_is_stopped(tmp_path, number):
     pids = tmp_path / "pids"
-    before = signal.signal(signal.SIGINT, signal.default_int_handler)
-
-    def interrupt() -> None:
-        wait_until(pids.exists)
-        os.kill(os.getpid(), signal.SIGINT)
-
-    threading.Thread(target=interrupt, daemon=True).start()
-    with pytest.raises(KeyboardInterrupt):
-        list(in_fresh_processes(wait, [str(pids)]))
-    signal.signal(signal.SIGINT, before)
-    wait_until(lambda: is_gone(pids.read_text().split()[1]), seconds=10)
-
-
-@pytest.mark.parametrize("number", [signal.SIGKILL, signal.SIGTERM])
-def test_nothing_is_left_of_an_owner_that_is_killed(tmp_path, number):
-    pids = tmp_path / "pids"
-    owner = subprocess.Popen([sys.executable, "-c", OWNER, str(Path(__file__).parent), "wait", str(pids)])
+    command = [sys.executable, "-c", OWNER, str(Path(__file__).parent), str(pids)]
+    owner = subprocess.Popen(command, preexec_fn=hear_ctrl_c, stderr=subprocess.PIPE)
     wait_until(pids.exists, owner)
     assert not any(map(is_gone, pids.read_text().split()))
     owner.send_signal(number)
-    owner.wait()
+    owner.communicate(timeout=20)
     wait_until(lambda: all(map(is_gone, pids.read_text().split())), seconds=10)
