@@ -10,7 +10,8 @@ from torch.utils.data import default_collate
 
 import topokit as tk
 from topokit.data import Dataset
-from topokit.models import Predictor, Scenes, Shape, build
+from topokit.models import Predictor, Scenes, build
+from topokit.models._baselines import Shape
 from topokit.models._motion import CARRIERS, KNOTS, UNIT, carried
 from topokit.models._scenes import flow
 from topokit.seqph import SeqPH, follow

@@ -17,8 +17,8 @@ from torch.utils.data import default_collate
 import topokit as tk
 from topokit._archive import FormatError
 from topokit.cli import main
-from topokit.models import Predictor, Shape, StateTensors, TrainConfig, build, forecast_loss
-from topokit.models._baselines import Normalisation
+from topokit.models import Predictor, StateTensors, TrainConfig, build, forecast_loss
+from topokit.models._baselines import Normalisation, Shape
 from topokit.models._checkpoint import describe, save_tensors
 from topokit.models._states import past_of
 

@@ -13,7 +13,8 @@ import torch
 from torch.utils.data import default_collate
 
 from topokit._archive import FormatError
-from topokit.models import Predictor, Shape, StateTensors, TrainConfig, build, train
+from topokit.models import Predictor, StateTensors, TrainConfig, build, train
+from topokit.models._baselines import Shape
 from topokit.models._training import mirrored
 
 from windows import POINTS, SLOTS, RingScenes, RingWindows
@@ -21,7 +22,6 @@ from windows import POINTS, SLOTS, RingScenes, RingWindows
 SHAPE = Shape(points=POINTS, slots=SLOTS)
 MORE = {"centre": 1.0, "match": True}
 ROOT = Path(__file__).parents[1]
-HELD_OUT = ["backpack", "belt", "mask", "net", "scarf", "sheet", "sheet2", "shirt", "tote", "tote2", "vest"]
 OPTIONS = {"mlp": {"hidden": [32, 16]}, "pointnet": {"hidden": [64, 32]}, "motion": {"width": 16}}
 
 
@@ -149,22 +149,13 @@ def test_a_training_starts_from_a_checkpoint_with_other_films(tmp_path, windows,
     assert Predictor.load(tmp_path / "more" / "best.safetensors").description["start"] == "best.safetensors"
 
 
-def test_few_films_are_learned_beside_those_that_the_start_knows(tmp_path):
+def test_a_configuration_opens_the_windows_of_two_splits():
     shares = {"train": 0.6, "validation": 0.2, "test": 0.2}
-    entries = {"model": "motion", "dataset": str(ROOT / "data_small" / "motion"), "split": {"shares": shares}}
-    (tmp_path / "old.json").write_text(json.dumps(entries))
-    entries |= {"split": {"shares": shares, "seed": 4, "held_out": HELD_OUT}, "windows": {"stride": 4}}
-    (tmp_path / "new.json").write_text(json.dumps(entries | {"rehearse": "old.json"}))
-    (tmp_path / "old.json").write_text(json.dumps({**entries, "split": {"shares": shares}}))
-    both = TrainConfig.load(tmp_path / "new.json").open_windows()
-    new, old = (
-        TrainConfig(**{**entries, "split": split}).open_windows() for split in (entries["split"], {"shares": shares})
-    )
-    n = len(new.train)
-    assert len(both.train) == 2 * n > 0
-    assert len(both.validation) == len(new.validation)
-    assert torch.equal(both.train[n - 1]["cloud"], new.train[n - 1]["cloud"])
-    assert torch.equal(both.train[2 * n - 1]["cloud"], old.train[(n - 1) * len(old.train) // n]["cloud"])
+    how = config("motion", dataset=str(ROOT / "data_small" / "motion"), split={"shares": shares}, windows={"stride": 4})
+    windows = how.open_windows()
+    assert min(len(windows.train), len(windows.validation)) > 0
+    assert not set(windows.train.episodes) & set(windows.validation.episodes)
+    assert len(windows.train[0]["cloud"]) == SHAPE.points
 
 
 def test_paths_of_a_configuration_are_relative_to_it(tmp_path):

@@ -179,7 +179,7 @@ class LabelledScenes(Scenes):
         scene["known"] = torch.cat([unknown, known], dim=1)
         return scene
 
-    def asked(self, number: int, frame: int) -> NDArray[np.int64] | None:
+    def _asked(self, number: int, frame: int) -> NDArray[np.int64] | None:
         """Return the corners of the killer triangles, some twice; where there is no loop, vertices are drawn."""
         corners = [loop.killer_triangle_ids.ravel() for loop in self.loops(number, frame)]
         return np.resize(np.concatenate(corners), ASKED) if corners else None

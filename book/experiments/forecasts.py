@@ -16,7 +16,7 @@ import platform
 import sys
 import warnings
 from collections.abc import Callable, Iterable, Mapping, Sequence
-from dataclasses import asdict, dataclass, field, fields, replace
+from dataclasses import asdict, dataclass, field, replace
 from functools import cache, lru_cache
 from pathlib import Path
 from typing import Any
@@ -36,7 +36,8 @@ import topokit
 from topokit.data import Dataset, WindowDataset
 from topokit.evaluate import true_loops
 from topokit.io import save_episode
-from topokit.models import Predictor, Shape, StateTensors, build
+from topokit.models import Predictor, StateTensors, build
+from topokit.models._baselines import Shape
 
 Forecaster = Callable[[Mapping[str, Tensor]], StateTensors]
 
@@ -318,17 +319,10 @@ def of_stream(predictor: Any, windows: WindowDataset, steps: Sequence[int]) -> F
 
 def stack_forecasts(forecasts: Sequence[StateTensors], slots: int) -> StateTensors:
     """Return B forecasts as one, with as many slots as the windows have. A slot that a forecast lacks is empty."""
-    parts = {}
-    for part in fields(StateTensors):
-        # An empty slot is absent. A mixture needs a width, also where there is no loop.
-        empty = {"noise": 1e-4, "presence": -20.0}.get(part.name, 0.0)
-        padded = []
-        for forecast in forecasts:
-            values = getattr(forecast, part.name)[:, :slots]
-            missing = values.new_full((len(values), slots - values.shape[1], *values.shape[2:]), empty)
-            padded.append(torch.cat([values, missing], dim=1))
-        parts[part.name] = torch.stack(padded)
-    return StateTensors(**parts)
+    padded = [forecast[:, :slots].padded(slots) for forecast in forecasts]
+    return StateTensors(
+        *(torch.stack(part) for part in zip(*(vars(states).values() for states in padded), strict=True))
+    )
 
 
 def turned(forecaster: Forecaster, degrees: float) -> Forecaster:

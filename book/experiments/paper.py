@@ -44,7 +44,8 @@ from tables import write_results
 
 import topokit
 from topokit.data import Dataset, DatasetConfig, WindowDataset, generate_dataset, label_dataset
-from topokit.models import Predictor, Scenes, Shape, StateTensors, TrainConfig, build, train
+from topokit.models import Predictor, Scenes, StateTensors, TrainConfig, build, train
+from topokit.models._baselines import Shape
 
 ROOT = Path(__file__).parents[2]
 STAGES = ("films", "labels", "trainings", "tests", "forecasts", "table")

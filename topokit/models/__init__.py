@@ -9,7 +9,6 @@ from typing import TYPE_CHECKING
 from topokit._lazy import attach
 
 if TYPE_CHECKING:
-    from ._baselines import Shape
     from ._checkpoint import build
     from ._config import TrainConfig
     from ._predictor import Predictor

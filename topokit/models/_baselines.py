@@ -8,6 +8,7 @@ from __future__ import annotations
 import dataclasses
 from abc import ABC, abstractmethod
 from collections.abc import Iterable
+from typing import Any
 
 import torch
 from torch import Tensor, nn
@@ -39,20 +40,25 @@ class Normalisation:
     value: Positive = 0.05  #: mean death of the loops, metres
 
 
-class PredictiveModel(nn.Module, ABC):
-    """A model from windows (the dict of tensors of `topokit.data.WindowDataset`, with a leading axis of B) to states.
-
-    `encode` reads the history, once for all plans. `decode` reads a plan of actions and returns the states of all steps.
-    """
+class Model(nn.Module):
+    """A model of `build`, with what its checkpoint describes."""
 
     learns = True  # by gradient descent
-    tracked = False  # whether it reads the grippers and the tracked states of a history, and not its clouds
 
     def __init__(self, shape: Shape, normalisation: Normalisation) -> None:
         super().__init__()
         self.shape = shape
         self.normalisation = normalisation
-        self.options: dict[str, object] = {}
+        self.options: dict[str, Any] = {}
+
+
+class PredictiveModel(Model, ABC):
+    """A model from windows (the dict of tensors of `topokit.data.WindowDataset`, with a leading axis of B) to states.
+
+    `encode` reads the history, once for all plans. `decode` reads a plan of actions and returns the states of all steps.
+    """
+
+    tracked = False  # whether it reads the grippers and the tracked states of a history, and not its clouds
 
     @abstractmethod
     def encode(self, window: Window) -> Context:

@@ -21,11 +21,10 @@ import topokit
 from topokit._archive import FormatError, atomic_file, existing
 from topokit._config import from_mapping
 
-from ._baselines import Carry, Hold, Normalisation, PredictiveModel, Ridge, Shape
+from ._baselines import Carry, Hold, Model, Normalisation, Ridge, Shape
 from ._motion import Motion
 from ._networks import MLP, PointNet
 
-Model = PredictiveModel | Motion
 MODELS: Mapping[str, type[Model]] = {
     "hold": Hold,
     "carry": Carry,
@@ -93,13 +92,7 @@ def save_tensors(path: str | Path, tensors: Mapping[str, Tensor], description: M
 
 
 def load_tensors(path: str | Path) -> tuple[dict[str, Any], dict[str, Tensor]]:
-    """Return the description of a checkpoint, and its tensors.
-
-    Raises
-    ------
-    FormatError
-        When the file is damaged, or was not written by topokit.
-    """
+    """Return the description of a checkpoint, and its tensors; FormatError for a damaged file, or one that is none."""
     path = existing(path)
     try:
         with safe_open(str(path), framework="pt") as archive:
@@ -111,13 +104,7 @@ def load_tensors(path: str | Path) -> tuple[dict[str, Any], dict[str, Tensor]]:
 
 
 def load_model(path: str | Path) -> tuple[Model, dict[str, Any]]:
-    """Return the model of a checkpoint, ready to predict, and the checkpoint's description.
-
-    Raises
-    ------
-    FormatError
-        When the description or the weights do not fit a model of this topokit; names what does not fit.
-    """
+    """Return the model of a checkpoint, ready to predict, and its description; FormatError names what does not fit."""
     description, tensors = load_tensors(path)
     try:
         shape = from_mapping(Shape, description["shape"], "shape")

@@ -6,9 +6,7 @@ from dataclasses import asdict, field, replace
 from pathlib import Path
 from typing import Any, NamedTuple
 
-from torch.utils.data import ConcatDataset, Subset
-
-from topokit._config import Count, NotNegative, Positive, checked, load
+from topokit._config import Count, Positive, checked, load
 
 from ._baselines import Shape
 from ._checkpoint import MODELS
@@ -29,8 +27,6 @@ class TrainConfig:
     model: str  #: name of the model, see `topokit.models.build`
     dataset: str = "."  #: directory of a dataset, relative to the configuration's file
     start: str = ""  #: checkpoint whose weights the training starts from, relative to the configuration's file
-    #: Configuration of an earlier training. Half of the windows are its windows, so that `start` is not forgotten.
-    rehearse: str = ""
     options: dict[str, Any] = field(default_factory=dict)  #: keyword arguments of the model
     #: Keyword arguments of `topokit.data.WindowDataset`: labels, stride; of a motion model stride alone.
     windows: dict[str, Any] = field(default_factory=dict)
@@ -46,8 +42,6 @@ class TrainConfig:
     validation_windows: Count = 2000  #: largest number of windows for validation, the same in every epoch
     #: Learning rate of AdamW. It rises over the first 2 % of steps, and falls along a cosine to a hundredth.
     learning_rate: Positive = 1e-3
-    weight_decay: NotNegative = 1e-4  #: weight decay of AdamW
-    clip: Positive = 1.0  #: largest norm of a gradient
     patience: Count = 5  #: number of epochs without a smaller validation loss after which training stops
     threads: Count = 2  #: threads of PyTorch; with another number the weights differ in their last bits
     workers: int = 0  #: number of processes that read windows, besides the training process
@@ -61,23 +55,11 @@ class TrainConfig:
         """Read a configuration (JSON). Its paths are made relative to the working directory."""
         config = load(cls, path)
         folder = Path(path).expanduser().parent
-        changes: dict[str, Any] = {}
-        for name in ("dataset", "start", "rehearse"):
-            if getattr(config, name):
-                changes[name] = str(folder / getattr(config, name))
-        return replace(config, **changes)
+        start = str(folder / config.start) if config.start else ""
+        return replace(config, dataset=str(folder / config.dataset), start=start)
 
     def open_windows(self) -> Windows:
-        """Open the windows of the dataset, split by episode or by the options in `split`.
-
-        Raises
-        ------
-        ValueError
-            When the configuration that is rehearsed has another model, shape or other windows.
-        """
-        if self.rehearse:
-            return self._open_with_rehearsal()
-
+        """Open the windows of the dataset, split by episode or by the options in `split`."""
         # Datasets need packages that the extra `learn` does not have.
         from topokit.data import Dataset, WindowDataset
 
@@ -94,17 +76,6 @@ class TrainConfig:
         train = kind(dataset, parts["train"], **options)
         validation = kind(dataset, parts["validation"], **options)
         return Windows(train, validation, dataset.checksum())
-
-    def _open_with_rehearsal(self) -> Windows:
-        """Open the windows of this configuration, and at most as many of the one that is rehearsed."""
-        earlier = TrainConfig.load(self.rehearse)
-        for name in ("model", "shape", "windows"):
-            if getattr(earlier, name) != getattr(self, name):
-                raise ValueError(f"{self.rehearse}: cannot be rehearsed, its {name} differs from the configuration's")
-        new = replace(self, rehearse="").open_windows()
-        old = earlier.open_windows()
-        repeated: Any = Subset(old.train, spread(len(old.train), len(new.train)))
-        return Windows(ConcatDataset([new.train, repeated]), new.validation, new.checksum + old.checksum)
 
 
 def spread(n: int, most: int) -> list[int]:

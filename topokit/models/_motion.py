@@ -22,12 +22,12 @@ codes pooled as in Qi et al. 2017, *PointNet*; edge convolutions of Wang et al. 
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
-from typing import Any, NamedTuple
+from typing import NamedTuple
 
 import torch
 from torch import Tensor, nn
 
-from ._baselines import Normalisation, Shape
+from ._baselines import Model, Normalisation, Shape
 
 KNOTS = (1, 3, 6, 10, 15, 20, 25, 30, 36, 42, 48, 54, 60)  # frames ahead at which motion is forecast
 PAST = (1, 4, 12)  # frames ago whose clouds and grippers are inputs
@@ -50,7 +50,7 @@ class Codes(NamedTuple):
     swapped: Tensor  # (B,) bool, true where the grippers are in the other order
 
 
-class Motion(nn.Module):
+class Motion(Model):
     """Motion of points under plans.
 
     A scene is a dict of tensors of B windows, in metres:
@@ -78,23 +78,16 @@ class Motion(nn.Module):
         in the frame of the room), ``carry`` (the network predicts the whole motion, and no correction of being carried).
     """
 
-    learns = True
-
     def __init__(
         self, shape: Shape, normalisation: Normalisation, width: int = 64, without: Sequence[str] = ()
     ) -> None:
-        super().__init__()
+        super().__init__(shape, normalisation)
         if shape.horizon != KNOTS[-1]:
             raise ValueError(f"motion is forecast {KNOTS[-1]} frames ahead, not {shape.horizon}")
-        self.shape = shape
-        self.normalisation = normalisation
-        self.options: dict[str, Any] = {}
         self.without = frozenset(without)
         # The inputs of a point, of an edge between neighbours, and of the code before any plan.
-        self.point = nn.Sequential(
-            nn.Linear(3 + 9 + 5 + 2 + 2 + 12 + 2 + 16, width), nn.GELU(), nn.Linear(width, width)
-        )
-        self.edge = nn.Sequential(nn.Linear(2 * width + 4, width), nn.GELU(), nn.Linear(width, width))
+        self.point = _two_layers(3 + 9 + 5 + 2 + 2 + 12 + 2 + 16, width, width)
+        self.edge = _two_layers(2 * width + 4, width, width)
         self.flow = nn.Linear(9, width)
         self.mix = nn.Linear(5 * width, width)
         # The inputs of a step: of the point itself, of the plan and the carriers, of the code before.
@@ -102,11 +95,11 @@ class Motion(nn.Module):
         self.own = nn.Linear(6 + 5 + 2 + 3 + 3, 3 * width)
         self.scene = nn.Linear(6 + 2 + 16 + 2 * 16, 3 * width)
         self.before = nn.Linear(width, 3 * width)
-        self.out = nn.Sequential(nn.Linear(width, width), nn.GELU(), nn.Linear(width, 4))
+        self.out = _two_layers(width, width, 4)
         # An untrained network predicts that the cloth is carried.
-        last: Any = self.out[2]
-        nn.init.normal_(last.weight, std=0.01)
-        nn.init.zeros_(last.bias)
+        weight, bias = self.out[2].parameters()
+        nn.init.normal_(weight, std=0.01)
+        nn.init.zeros_(bias)
 
     def forward(self, scene: Scene) -> tuple[Tensor, Tensor]:
         """Return places (B, 13, carriers + n, 3) of carriers and points in metres, and scales (B, 13, carriers + n) of errors.
@@ -119,24 +112,22 @@ class Motion(nn.Module):
     def encode(self, scene: Scene) -> Codes:
         """Return the codes of the points, which do not depend on the plan."""
         # Convert everything to the grippers' frame.
+        target = scene["target"]
+        floor = scene["floor"]
         if "target" in self.without:
-            nowhere = scene["target"].new_tensor([0.0, 0.0, -1000.0])
-            scene = {
-                **scene,
-                "target": nowhere.expand_as(scene["target"]),
-                "floor": nowhere[2].expand_as(scene["floor"]),
-            }
-        swapped = _behind(scene["grippers"][:, 0], scene["target"][:, -1])
+            target = torch.tensor([0.0, 0.0, -1000.0]).expand_as(target)
+            floor = torch.full_like(floor, -1000.0)
+        swapped = _behind(scene["grippers"][:, 0], target[:, -1])
         grippers = _renamed(scene["grippers"], swapped)
         origin, axes = _frame(grippers[:, 0])
         if "frame" in self.without:
             origin = torch.zeros_like(origin)
-            axes = torch.eye(3).to(axes).expand_as(axes)
+            axes = torch.eye(3).expand_as(axes)
         cloud = _local(scene["cloud"], origin, axes)  # (B, M, 3)
         points = _local(scene["points"], origin, axes)  # (B, n, 3)
         hands = _local(grippers, origin, axes)  # (B, 4, 2, 3)
-        target = _local(scene["target"], origin, axes)
-        floor = (scene["floor"] - origin[:, 2]) / UNIT  # (B,)
+        target = _local(target, origin, axes)
+        floor = (floor - origin[:, 2]) / UNIT  # (B,)
         seen = torch.cat([cloud, points], dim=1)  # (B, M + n, 3)
         flow = (2 / UNIT * scene["flow"].flatten(1, 2) @ axes.mT).view(len(cloud), -1, 9)  # (B, M + n, 9)
 
@@ -145,14 +136,8 @@ class Motion(nn.Module):
         opening = (hands[:, 0, 0] - hands[:, 0, 1]).norm(dim=1, keepdim=True)  # (B, 1)
         held = scene["held"].to(cloud)[:, None]  # (B, 1)
         shared = torch.cat([velocity, held, opening, _reach(hands[:, 0], target).flatten(1)], dim=1)  # (B, 30)
-        features = [
-            seen,
-            flow,
-            _beside(seen, target),
-            _above(seen, floor),
-            torch.cdist(seen, hands[:, 0]),
-            shared[:, None].expand(-1, seen.shape[1], -1),
-        ]
+        shared = shared[:, None].expand(-1, seen.shape[1], -1)
+        features = [seen, flow, _beside(seen, target), _above(seen, floor), torch.cdist(seen, hands[:, 0]), shared]
         code = self.point(torch.cat(features, dim=-1))  # (B, M + n, width)
 
         # For carriers and points, mix in the codes of their neighbours in the cloud and of the whole cloud.
@@ -198,19 +183,12 @@ class Motion(nn.Module):
         turns = _turns(before.flatten(0, 1), hands.flatten(0, 1)).unflatten(0, hands.shape[:2])  # (C, 13, 3, 3)
         shifts = hands.mean(dim=2, keepdim=True) - before.mean(dim=2, keepdim=True) @ turns  # (C, 13, 1, 3)
         if "carry" in self.without:
-            turns = torch.eye(3).to(turns).expand_as(turns)
+            turns = torch.eye(3).expand_as(turns)
             shifts = torch.zeros_like(shifts)
-        lengths = torch.tensor((0, *KNOTS)).to(hands).diff() / 6  # (13,) of the steps
+        lengths = torch.tensor((0.0, *KNOTS)).diff() / 6  # (13,) of the steps
+        both = torch.stack([shares, lengths.expand_as(shares)], dim=2)  # (C, 13, 2)
         reach = _reach(hands.flatten(1, 2), target).unflatten(1, hands.shape[1:3]).flatten(2)  # (C, 13, 16)
-        plan_features = torch.cat(
-            [
-                (hands - before).flatten(2),
-                shares[..., None],
-                lengths.expand(plans, -1)[..., None],
-                reach,
-            ],
-            dim=-1,
-        )  # (C, 13, 24)
+        of_plan = torch.cat([(hands - before).flatten(2), both, reach], dim=2)  # (C, 13, 24)
 
         step = torch.zeros_like(place)
         places = []
@@ -220,19 +198,11 @@ class Motion(nn.Module):
             # Update the code by a gated recurrent unit, from inputs of the point and of the whole scene.
             pooled = self.pool(code[:, :carriers])  # (C, carriers, 16)
             pooled = torch.cat([pooled.mean(dim=1), pooled.amax(dim=1)], dim=1)
-            scene = self.scene(torch.cat([plan_features[:, k], pooled], dim=1))  # (C, 3 width)
+            scene = self.scene(torch.cat([of_plan[:, k], pooled], dim=1))  # (C, 3 width)
+            to_hands = [hand[:, None] - ahead for hand in hands[:, k].unbind(dim=1)]
+            target_and_floor = [_beside(ahead, target), _above(ahead, codes.floor)]
             own = self.own(
-                torch.cat(
-                    [
-                        hands[:, k, 0, None] - ahead,
-                        hands[:, k, 1, None] - ahead,
-                        _beside(ahead, target),
-                        _above(ahead, codes.floor),
-                        ahead - place,
-                        3 * step,
-                    ],
-                    dim=-1,
-                )
+                torch.cat([*to_hands, *target_and_floor, ahead - place, 3 * step], dim=-1)
             )  # (C, N, 3 width)
             code = _gated(own + scene[:, None], self.before(code), code)
             # Add the motion of the point besides being carried.
@@ -263,11 +233,8 @@ class Motion(nn.Module):
         """
         whole = scene["cloud"].shape[1]
         kept = int(torch.randint(64, whole + 1, (), generator=generator))
-        thinned = {
-            **scene,
-            "cloud": scene["cloud"][:, :kept],
-            "flow": torch.cat([scene["flow"][:, :kept], scene["flow"][:, whole:]], dim=1),
-        }
+        thinned_flow = torch.cat([scene["flow"][:, :kept], scene["flow"][:, whole:]], dim=1)
+        thinned = {**scene, "cloud": scene["cloud"][:, :kept], "flow": thinned_flow}
         places, scales = self(thinned)  # (B, 13, N, 3), (B, 13, N)
         future = scene["future"]
         error = ((places - future).square().sum(dim=-1) + 1e-6).sqrt()
@@ -284,14 +251,15 @@ class Motion(nn.Module):
             known = known[..., None].expand_as(error)
         weight = known / known.sum().clamp_min(1)
         distortion = (distorted * known[:, :, None]).sum(dim=-1) / known.sum(dim=-1, keepdim=True).clamp_min(1)
-        parts = {
-            "error": (weight * error).sum(),
-            "unlikely": (weight * unlikely).sum(),
-            "distortion": (weight * distortion).sum(),
-        }
+        sums = {"error": error, "unlikely": unlikely, "distortion": distortion}
+        parts = {name: (weight * part).sum() for name, part in sums.items()}
         loss = 30 * (parts["error"] + parts["distortion"]) + 0.3 * parts["unlikely"]
         logged = {"loss": loss, **parts}
         return loss, {name: part.detach() for name, part in logged.items()}
+
+
+def _two_layers(n_in: int, width: int, n_out: int) -> nn.Sequential:
+    return nn.Sequential(nn.Linear(n_in, width), nn.GELU(), nn.Linear(width, n_out))
 
 
 def carried(points: Tensor, before: Tensor, now: Tensor) -> Tensor:

@@ -11,13 +11,15 @@ import numpy as np
 import torch
 from numpy.typing import ArrayLike, NDArray
 from scipy.spatial import cKDTree
+from scipy.special import logit
 from torch import Tensor
 
 from topokit._validate import as_points
 from topokit.sampling import farthest_point_sample, inliers
-from topokit.seqph import Loop, SeqPH, TopologicalState, follow
+from topokit.seqph import Loop, SeqPH, follow
 
-from ._checkpoint import Model, load_model
+from ._baselines import Model
+from ._checkpoint import load_model
 from ._motion import KNOTS, PAST, Codes, Motion, world
 from ._scenes import carriers_first, flow, target_of
 from ._states import NOISE, TRIANGLES, StateTensors, Window, past_of
@@ -54,9 +56,7 @@ class Predictor:
 
     def reset(self) -> None:
         """Forget everything observed."""
-        history = self.model.shape.history
-        self._frames: deque[dict[str, NDArray[np.float64]]] = deque(maxlen=history)
-        self._states: deque[TopologicalState] = deque(maxlen=history)
+        self._frames: deque[Any] = deque(maxlen=self.model.shape.history)  # grippers and state; or a cloud
         self._tracker = SeqPH()
         self._context: dict[str, Tensor] | None = None
 
@@ -83,14 +83,13 @@ class Predictor:
         """
         cloud = as_points(points)
         if self.model.tracked:
-            self._frames.append({"grippers": as_grippers(grippers)})
-            self._states.append(self._tracker.update(cloud))
+            self._frames.append((as_grippers(grippers), self._tracker.update(cloud)))
         else:
             # Choose as many points as the model reads; repeat points when there are fewer.
             n = self.model.shape.points
             if len(cloud) > n:
                 cloud = cloud[farthest_point_sample(cloud, n, None)[0]]
-            self._frames.append({"clouds": np.resize(cloud, (n, 3))})
+            self._frames.append(np.resize(cloud, (n, 3)))
         self._context = None
 
     @torch.inference_mode()
@@ -118,14 +117,19 @@ class Predictor:
 
     def _window(self) -> Window:
         """Return the history as a batch of one window."""
+        frames = self._history()
+        if not self.model.tracked:
+            return {"clouds": torch.tensor(np.array([frames])).float()}
+        grippers, states = zip(*frames, strict=True)
+        past = past_of(states, self.model.shape.slots)
+        return {"grippers": torch.tensor(np.array([grippers])).float(), **past}
+
+    def _history(self) -> list[Any]:
+        """Return the last frames, the newest one last; the first observed frame also stands for the frames before it."""
         if not self._frames:
             raise ValueError("no frame has been observed yet: call observe first")
-        missing = self.model.shape.history - len(self._frames)
-        frames = [self._frames[0]] * missing + list(self._frames)
-        window = {name: torch.tensor(np.stack([frame[name] for frame in frames])[None]).float() for name in frames[0]}
-        if self.model.tracked:
-            window |= past_of([self._states[0]] * missing + list(self._states), self.model.shape.slots)
-        return window
+        missing = (self._frames.maxlen or 0) - len(self._frames)
+        return [self._frames[0]] * missing + list(self._frames)
 
     def _plans(self, actions: ArrayLike, held: ArrayLike | None) -> list[tuple[Tensor, Tensor]]:
         """Return plans (C, 60, 2, 3) and holds (C, 60), 250 at once: for more, activations do not stay in the cache."""
@@ -133,12 +137,9 @@ class Predictor:
         steps = self.model.shape.horizon
         if plans.shape[-3:] != (steps, 2, 3):
             raise ValueError(f"actions must be ({steps}, 2, 3) or (plans, {steps}, 2, 3), not {tuple(plans.shape)}")
-        holds = torch.ones(plans.shape[:-2], dtype=torch.bool)
-        if held is not None:
-            holds = torch.as_tensor(np.asarray(held, bool)).expand(holds.shape)
-        some_plans = plans.reshape(-1, steps, 2, 3).split(250)
-        some_holds = holds.reshape(-1, steps).split(250)
-        return list(zip(some_plans, some_holds, strict=True))
+        plans = plans.reshape(-1, steps, 2, 3)
+        holds = torch.as_tensor(np.asarray(True if held is None else held, bool)).expand(plans.shape[:2])
+        return list(zip(plans.split(250), holds.split(250), strict=True))
 
 
 class MotionPredictor(Predictor):
@@ -157,8 +158,7 @@ class MotionPredictor(Predictor):
 
     def reset(self) -> None:
         """Forget everything observed."""
-        self._clouds: deque[cKDTree] = deque(maxlen=PAST[-1] + 1)
-        self._hands: deque[NDArray[np.float64]] = deque(maxlen=PAST[-1] + 1)
+        self._frames = deque(maxlen=PAST[-1] + 1)  # cloud, as a tree of its points, and grippers
         self._held = True
         self._target = np.zeros((0, 3))
         self._untracked: deque[NDArray[np.float64]] = deque(maxlen=self.model.shape.history)
@@ -171,10 +171,10 @@ class MotionPredictor(Predictor):
     ) -> None:
         """Take in the next frame, as `Predictor.observe` does."""
         cloud = as_points(points, copy=True)
-        self._hands.append(as_grippers(grippers))
+        hands = as_grippers(grippers)
         if target is not None:
             self._target = as_points(target, "target", copy=True)
-        self._clouds.append(cKDTree(cloud))
+        self._frames.append((cKDTree(cloud), hands))
         self._untracked.append(cloud)
         self._held = bool(held)
         self._codes = {}
@@ -193,30 +193,27 @@ class MotionPredictor(Predictor):
             Frames ahead, 1 to 60, at which loops are read off the moved cloud; for a single plan only. A loop that is born there
             has a slot after those of the tracked loops, and is present at these frames only.
         """
+        many = np.ndim(actions) == 4
+        if many and len(exact):
+            raise ValueError("exact frames are for a single plan")
         self.track()
-        ids = np.array([_corners(loop)[0] for loop in self.loops], dtype=np.int64)  # (S, 8)
+        ids, _ = _corners(self.loops)
         plans = np.asarray(actions, np.float32).reshape(-1, *np.shape(actions)[-3:])
 
         # Move the corners alone, or the whole cloud when loops are read off it.
-        if not len(exact):
-            points = self._clouds[-1].data[ids.ravel()] if self._clouds else None
-            places, scales = self.move(plans, held, points)  # (C, 60, 8 S, 3), (C, 60, 8 S)
-            states = self._states_of(places, scales)
-            return states if np.ndim(actions) == 4 else states[0]
-        if np.ndim(actions) == 4:
-            raise ValueError("exact frames are for a single plan")
-        places, scales = self.move(plans, held)
-        states = self._states_of(places[:, :, ids.ravel()], scales[:, :, ids.ravel()])[0]
-
-        # Empty slots for loops that are born; those that stay empty are cut off again.
-        n_free = self.model.shape.slots - len(ids)
-        states = states.map(lambda part: torch.cat([part, part.new_zeros(60, n_free, *part.shape[2:])], dim=1))
-        states.presence[:, len(ids) :] = -20
-        states.noise[:, len(ids) :] = NOISE
-        loops = list(self.loops)
-        for step in sorted(exact):
-            self._read_loops(states, step, loops, places[0, step - 1], scales[0, step - 1])
-        return states[:, : len(loops)]
+        if len(exact):
+            clouds, errors = self.move(plans, held)
+            places = clouds[:, :, ids]  # (C, 60, S, 8, 3)
+            scales = errors[:, :, ids]  # (C, 60, S, 8)
+        else:
+            points = self._history()[-1][0].data[ids.ravel()]
+            places, scales = self.move(plans, held, points)
+            places = places.reshape(len(plans), 60, -1, 8, 3)
+            scales = scales.reshape(len(plans), 60, -1, 8)
+        states = self._states_of(self.loops, places, scales, _shifts(self.loops, places), np.arange(1, 61)[:, None])
+        if many:
+            return states
+        return self._read_loops(states[0], exact, clouds[0], errors[0]) if len(exact) else states[0]
 
     @torch.inference_mode()
     def move(
@@ -233,9 +230,7 @@ class MotionPredictor(Predictor):
             Their present places; the last cloud when not given.
         """
         chunks = self._plans(actions, held)
-        if not self._clouds:
-            raise ValueError("no frame has been observed yet: call observe first")
-        codes = self._encode(self._clouds[-1].data if points is None else np.asarray(points, np.float64))
+        codes = self._encode(self._history()[-1][0].data if points is None else np.asarray(points, np.float64))
         parts = [self.model.under(codes, *chunk) for chunk in chunks]
         places, scales = (torch.cat(part)[:, :, codes.carriers :].numpy() for part in zip(*parts, strict=True))
 
@@ -255,18 +250,15 @@ class MotionPredictor(Predictor):
         """Return the codes of points; they are made once for all plans until the next frame."""
         key = points.tobytes()
         if key not in self._codes:
+            past, grippers = zip(*(self._history()[-1 - ago] for ago in (0, *PAST)), strict=True)
             # Strays are no cloth: the tracker leaves them out, too. The others are mixed, in the same way each time.
-            kept = self._clouds[-1].data[inliers(self._clouds[-1])]
+            kept = past[0].data[inliers(past[0])]
             cloud = np.random.default_rng(0).permutation(kept)[: self.model.shape.points]
             cloud = cloud[carriers_first(cloud)]
-            last = len(self._clouds) - 1
-            times = [max(last - ago, 0) for ago in (0, *PAST)]
-            grippers = np.stack([self._hands[i] for i in times])
-            past = [self._clouds[i] for i in times[1:]]
             scene = {
                 "cloud": cloud,
                 "points": points,
-                "flow": flow(np.concatenate([cloud, points]), past, grippers),
+                "flow": flow(np.concatenate([cloud, points]), past[1:], np.array(grippers)),
                 "grippers": grippers,
                 **target_of(self._target),
             }
@@ -275,58 +267,49 @@ class MotionPredictor(Predictor):
             self._codes[key] = self.model.encode(tensors)
         return self._codes[key]
 
-    def _states_of(self, places: Array, scales: Array) -> StateTensors:
-        """Return the states (C, 60, S) of the tracked loops, from their corners (C, 60, 8 S, 3) and scales of errors."""
-        corners = places.reshape(*places.shape[:2], -1, 8, 3)
-        edges = corners[..., :2, :]  # (C, 60, S, 2, 3) the killer edges
-        present_edges = np.array([loop.killer_edge_points for loop in self.loops], np.float32).reshape(-1, 2, 3)
-        first = np.broadcast_to(present_edges, edges[:, :1].shape)
-        before = np.concatenate([first, edges[:, :-1]], axis=1)
-        # The Hausdorff distance between a killer edge and that of the frame before.
-        gaps = np.linalg.norm(edges[..., :, None, :] - before[..., None, :, :], axis=-1)  # (C, 60, S, 2, 2)
-        shift = np.maximum(gaps.min(axis=-1).max(axis=-1), gaps.min(axis=-2).max(axis=-1))
-
-        birth = np.broadcast_to(np.array([loop.birth for loop in self.loops], np.float32), corners.shape[:3])
-        death = np.linalg.norm(edges[..., 0, :] - edges[..., 1, :], axis=-1) / 2
-        has_neighbour = np.array([_corners(loop)[1] for loop in self.loops], bool).reshape(-1, 4)
+    def _states_of(
+        self, loops: Sequence[Loop], places: Array, scales: Array, shifts: ArrayLike, ahead: ArrayLike
+    ) -> StateTensors:
+        """Return the states (..., S) of loops, so many frames ahead, whose corners (..., S, 8, 3) have scales of errors."""
+        birth = np.broadcast_to(np.array([loop.birth for loop in loops], np.float32), places.shape[:-2])
+        death = np.linalg.norm(places[..., 0, :] - places[..., 1, :], axis=-1) / 2
+        # A neighbour's filtration value is half its longest side.
+        triangles = places[..., np.array(TRIANGLES[2:]), :]  # (..., S, 4, 3, 3)
+        sides = np.linalg.norm(triangles - np.roll(triangles, 1, axis=-2), axis=-1)
         parts = {
-            "corners": corners,
-            "neighbour_values": _neighbour_values(corners) * has_neighbour,
+            "corners": places,
+            "neighbour_values": sides.max(axis=-1) / 2 * _corners(loops)[1],
             "birth": birth,
             "death": death,
-            "killer_shift": shift,
-            "noise": _noise(death, scales.reshape(corners.shape[:-1])),
+            "killer_shift": shifts,
+            # The logits that the tracker counts the loops as present then.
+            "presence": logit(self.tracker.presence(birth, np.maximum(birth, death), ahead).clip(1e-6, 1 - 1e-6)),
+            # The opening squared, and four times the squared scales of the corners: an error's variance.
+            "noise": NOISE + np.square(death) + 4 * (scales**2).mean(axis=-1),
         }
-        tensors = {name: torch.tensor(part) for name, part in parts.items()}
-        return StateTensors(**tensors, presence=self._presence(birth, death, np.arange(1, 61)[:, None]))
+        return StateTensors(**{name: torch.tensor(np.asarray(part, np.float32)) for name, part in parts.items()})
 
-    def _presence(self, birth: ArrayLike, death: ArrayLike, ahead: ArrayLike) -> Tensor:
-        """Return the logits that the tracker counts loops as present so many frames ahead."""
-        start = np.asarray(birth, np.float64)
-        end = np.maximum(start, np.asarray(death, np.float64))
-        return torch.from_numpy(np.asarray(self.tracker.presence(start, end, ahead))).logit(1e-6).float()
-
-    def _read_loops(self, states: StateTensors, step: int, loops: list[Loop], cloud: Array, scales: Array) -> None:
-        """Write into states (60, S) what is read off the moved cloud at a step; loops born there are added to the list."""
-        found = {loop.id: loop for loop in follow(loops, cloud, self.tracker)}
-        known_ids = {loop.id for loop in loops}
-        born = [loop for loop in found.values() if loop.id not in known_ids]
-        loops += born[: states.birth.shape[1] - len(loops)]
-        row = states[step - 1]
-        row.presence[: len(loops)] = -20
-        for slot, loop in enumerate(loops):
-            if loop.id not in found:
-                continue
-            now = found[loop.id]
-            ids, has_neighbour = _corners(now)
-            row.corners[slot] = torch.from_numpy(cloud[ids])
-            row.neighbour_values[slot] = torch.from_numpy(_neighbour_values(cloud[ids]) * has_neighbour)
-            row.birth[slot] = now.birth
-            row.death[slot] = now.death
-            row.noise[slot] = float(_noise(now.death, scales[ids]))
+    def _read_loops(self, states: StateTensors, steps: Sequence[int], clouds: Array, scales: Array) -> StateTensors:
+        """Return states (60, S) with what is read off the moved clouds (60, n, 3) at some steps; loops are born there."""
+        # Loops that are born get slots after the others; those that stay empty are cut off again.
+        states = states.padded(self.model.shape.slots)
+        loops = list(self.loops)
+        for step in sorted(steps):
+            followed = {loop.id: loop for loop in follow(loops, clouds[step - 1], self.tracker)}
+            known_ids = {loop.id for loop in loops}
+            born = [loop for loop in followed.values() if loop.id not in known_ids]
+            loops += born[: self.model.shape.slots - len(loops)]
+            slots = [slot for slot, loop in enumerate(loops) if loop.id in followed]
+            now = [followed[loops[slot].id] for slot in slots]
+            ids, _ = _corners(now)
             # The tracker remembers a loop that it has seen; one that is born there it has not.
-            ahead = float(step) if slot < len(self.loops) else np.inf
-            row.presence[slot] = self._presence(now.birth, now.death, ahead)
+            ahead = [step if slot < len(self.loops) else np.inf for slot in slots]
+            row = states[step - 1]
+            read = self._states_of(now, clouds[step - 1, ids], scales[step - 1, ids], row.killer_shift[slots], ahead)
+            row.presence[:] = -20
+            for part, values in zip(vars(row).values(), vars(read).values(), strict=True):
+                part[slots] = values
+        return states[:, : len(loops)]
 
 
 def as_grippers(grippers: ArrayLike | None) -> NDArray[np.float64]:
@@ -346,26 +329,26 @@ def _at_all_frames(values: Array) -> Array:
     return np.asarray(values[:, after - 1] * (1 - share) + values[:, after] * share)
 
 
-def _corners(loop: Loop) -> tuple[list[int], list[bool]]:
-    """Return the vertices of a loop's eight corners, in the order of `StateTensors.corners`, and which neighbours it has."""
-    edge = loop.killer_edge.tolist()
-    corners = list(edge)
-    for triangle in loop.killer_triangle_ids.tolist():
-        corners += [vertex for vertex in triangle if vertex not in edge]
-    apex_at = {frozenset(outer): apex for *outer, apex in loop.neighbour_ids.tolist()}
-    edges = [frozenset((corners[a], corners[b])) for a, b, _ in TRIANGLES[2:]]
-    present = [outer in apex_at for outer in edges]
-    apexes = [apex_at.get(outer, corners[2]) for outer in edges]
-    return corners + apexes, present
+def _shifts(loops: Sequence[Loop], places: Array) -> Array:
+    """Return (C, 60, S) the Hausdorff distances between killer edges and those of the frame before, from corners of loops."""
+    edges = places[..., :2, :]  # (C, 60, S, 2, 3)
+    present = np.array([loop.killer_edge_points for loop in loops], np.float32).reshape(-1, 2, 3)
+    before = np.concatenate([np.broadcast_to(present, edges[:, :1].shape), edges[:, :-1]], axis=1)
+    gaps = np.linalg.norm(edges[..., :, None, :] - before[..., None, :, :], axis=-1)  # (C, 60, S, 2, 2)
+    return np.maximum(gaps.min(axis=-1).max(axis=-1), gaps.min(axis=-2).max(axis=-1))
 
 
-def _noise(death: Array | float, scales: Array) -> Array:
-    """Return the mixtures' noise: the opening squared, and four times the squared scales of the corners: an error's variance."""
-    return np.asarray(NOISE + np.square(death) + 4 * (scales**2).mean(axis=-1))
-
-
-def _neighbour_values(corners: Array) -> Array:
-    """Return (..., 4) filtration values of the neighbours: half the longest side."""
-    triangles = corners[..., np.array(TRIANGLES[2:]), :]  # (..., 4, 3, 3)
-    sides = np.linalg.norm(triangles - np.roll(triangles, 1, axis=-2), axis=-1)
-    return np.asarray(sides.max(axis=-1) / 2)
+def _corners(loops: Sequence[Loop]) -> tuple[NDArray[np.int64], NDArray[np.bool_]]:
+    """Return the vertices (S, 8) of loops' corners, in the order of `StateTensors.corners`, and (S, 4) which neighbours exist."""
+    ids = []
+    present = []
+    for loop in loops:
+        edge = loop.killer_edge.tolist()
+        corners = list(edge)
+        for triangle in loop.killer_triangle_ids.tolist():
+            corners += [vertex for vertex in triangle if vertex not in edge]
+        apex_at = {frozenset(outer): apex for *outer, apex in loop.neighbour_ids.tolist()}
+        edges = [frozenset((corners[a], corners[b])) for a, b, _ in TRIANGLES[2:]]
+        present.append([outer in apex_at for outer in edges])
+        ids.append(corners + [apex_at.get(outer, corners[2]) for outer in edges])
+    return np.array(ids, np.int64).reshape(-1, 8), np.array(present, bool).reshape(-1, 4)

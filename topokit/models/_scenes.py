@@ -60,18 +60,10 @@ class Scenes(torch.utils.data.Dataset[dict[str, Tensor]]):
             film = {name: getattr(episode, name) for name in ("points", "grippers", "actions", "held")}
             self._films[number] = film | target_of(episode.centre_line)
         rng = np.random.default_rng((number, frame))
-        return scene_at(self._films[number], frame, rng, self.n_points, self.asked(number, frame))
+        return scene_at(self._films[number], frame, rng, self.n_points, self._asked(number, frame))
 
-    def asked(self, number: int, frame: int) -> NDArray[np.int64] | None:
-        """Return the vertices (16,) that a window asks for, or None for vertices drawn at random, as here.
-
-        Parameters
-        ----------
-        number : int
-            Number of the episode.
-        frame : int
-            The window's present.
-        """
+    def _asked(self, number: int, frame: int) -> NDArray[np.int64] | None:
+        """Return the vertices (16,) whose motion from a frame of an episode is asked for; None for any, as here."""
         return None
 
 

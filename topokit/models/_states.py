@@ -122,6 +122,15 @@ class StateTensors:
         """Return a copy with other parts."""
         return dataclasses.replace(self, **parts)
 
+    def padded(self, slots: int) -> StateTensors:
+        """Return the states (K, S) of a single sequence with empty slots after the others, so many in all."""
+        parts = {}
+        for name, part in vars(self).items():
+            empty = {"presence": -20.0, "noise": NOISE}.get(name, 0.0)
+            missing = part.new_full((len(part), slots - part.shape[1], *part.shape[2:]), empty)
+            parts[name] = torch.cat([part, missing], dim=1)
+        return StateTensors(**parts)
+
     def __getitem__(self, index: Any) -> StateTensors:
         """Index all parts alike, along the leading dimensions."""
         return self.map(lambda part: part[index])

@@ -27,8 +27,8 @@ from tqdm import tqdm
 from topokit._archive import FormatError, atomic_file
 from topokit._config import from_mapping
 
-from ._baselines import Normalisation, Ridge
-from ._checkpoint import Model, build, describe, load_model, load_tensors, save_tensors
+from ._baselines import Model, Normalisation, Ridge
+from ._checkpoint import build, describe, load_model, load_tensors, save_tensors
 from ._config import TrainConfig, Windows, spread
 from ._motion import Motion
 from ._states import StateTensors, Window, forecast_loss
@@ -90,16 +90,15 @@ class _Training:
         self.config = config
         self.windows = windows
         self.show = show
+        self.out = out
         self.last = out / "last.safetensors"
         self.best = out / "best.safetensors"
-        self.log = out / "log.csv"
         self.progress = Progress()
 
         # An earlier run left a checkpoint: go on from there, with its normalisation.
-        saved = None
+        saved = load_tensors(self.last) if self.last.exists() else None
         normalisation = Normalisation()
-        if self.last.exists():
-            saved = load_tensors(self.last)
+        if saved:
             self._check_same(saved[0])
             normalisation = from_mapping(Normalisation, saved[0]["normalisation"], "normalisation")
         elif config.model != "motion":
@@ -110,13 +109,10 @@ class _Training:
         if config.start:
             self.model, _ = load_model(config.start)
         if self.model.learns:
-            self.optimizer = torch.optim.AdamW(
-                self.model.parameters(),
-                config.learning_rate,
-                weight_decay=config.weight_decay,
-                fused=True,  # a few times as fast on a CPU
-            )
-        if saved is not None:
+            # The fused optimiser is a few times as fast on a CPU.
+            parameters = self.model.parameters()
+            self.optimizer = torch.optim.AdamW(parameters, config.learning_rate, weight_decay=1e-4, fused=True)
+        if saved:
             self._restore(*saved)
 
         # One loader serves all epochs, each in its own order: workers keep the films that they have read.
@@ -133,22 +129,30 @@ class _Training:
         self.steps_per_epoch = min(config.windows_per_epoch or n, n) // config.batch
 
     def run(self) -> dict[str, Any]:
-        while not self._finished():
+        """Train until all epochs are done, or the validation loss has not fallen for too long; a baseline has one epoch."""
+        config = self.config
+        progress = self.progress
+        epochs = config.epochs if self.model.learns else 1
+        while progress.epoch < epochs and progress.epoch - progress.best_epoch <= config.patience:
             sums: dict[str, float] = {}
             if self.model.learns:
                 sums = self._train_epoch()
             elif isinstance(self.model, Ridge):
                 self.model.fit(self._batches())
             self._end_epoch(sums)
-        return self._summary()
-
-    def _finished(self) -> bool:
-        """Return whether all epochs are done, or the validation loss has not fallen for too long."""
-        progress = self.progress
-        if not self.model.learns:
-            return progress.epoch > 0
-        patient = progress.epoch - progress.best_epoch <= self.config.patience
-        return progress.epoch >= self.config.epochs or not patient
+        return {
+            "checkpoint": str(self.best),
+            "model": config.model,
+            "parameters": sum(part.numel() for part in self.model.parameters()),
+            "validation_loss": progress.best,
+            "best_epoch": progress.best_epoch,
+            "epochs": progress.epoch,
+            "steps": progress.step,
+            "seconds": round(progress.seconds, 1),
+            "windows_per_second": round(progress.step * config.batch / progress.seconds, 1)
+            if progress.seconds
+            else None,
+        }
 
     def _train_epoch(self) -> dict[str, float]:
         """Take the steps of an epoch, and return the sums of their losses."""
@@ -183,7 +187,7 @@ class _Training:
             raise ValueError(f"step {step}: the loss is {loss.item()}; lower learning_rate, or check the data")
         self.optimizer.zero_grad()
         loss.backward()
-        torch.nn.utils.clip_grad_norm_(self.model.parameters(), config.clip)
+        torch.nn.utils.clip_grad_norm_(self.model.parameters(), 1.0)
         self.optimizer.step()
         self.progress.step += 1
         return parts
@@ -202,16 +206,23 @@ class _Training:
         row |= {f"train_{name}": value / self.steps_per_epoch for name, value in sums.items()}
         row |= {f"validation_{name}": value for name, value in losses.items()}
         progress.log.append(row)
-        with atomic_file(self.log) as file:
+        with atomic_file(self.out / "log.csv") as file:
             writer = csv.DictWriter(codecs.getwriter("utf-8")(file), row)
             writer.writeheader()
             writer.writerows(progress.log)
+        description = self._description()
         if losses["loss"] < progress.best:
             progress.best = losses["loss"]
             progress.best_epoch = progress.epoch
-            self._save_best()
+            weights = {name: part.half() for name, part in self.model.state_dict().items()}  # half the size
+            reached = {"validation_loss": progress.best, "epoch": progress.epoch, "steps": progress.step}
+            save_tensors(self.best, weights, description | reached)
         progress.epoch += 1
-        self._save_last()
+        tensors = dict(self.model.state_dict())
+        if self.model.learns:
+            for index, entries in self.optimizer.state_dict()["state"].items():
+                tensors |= {f"optimizer.{index}.{name}": value for name, value in entries.items()}
+        save_tensors(self.last, tensors, description | {"progress": asdict(progress)})
 
     @torch.no_grad()
     def _validate(self) -> dict[str, float]:
@@ -225,54 +236,22 @@ class _Training:
             _add(sums, parts, len(window["actions"]))
         return {name: value / len(chosen) for name, value in sums.items()}
 
-    def _summary(self) -> dict[str, Any]:
-        progress = self.progress
-        speed = None
-        if progress.seconds:
-            speed = round(progress.step * self.config.batch / progress.seconds, 1)
-        return {
-            "checkpoint": str(self.best),
-            "model": self.config.model,
-            "parameters": sum(part.numel() for part in self.model.parameters()),
-            "validation_loss": progress.best,
-            "best_epoch": progress.best_epoch,
-            "epochs": progress.epoch,
-            "steps": progress.step,
-            "seconds": round(progress.seconds, 1),
-            "windows_per_second": speed,
-        }
-
     def _description(self) -> dict[str, Any]:
         """Return the description of a checkpoint; what may change when a training goes on is left out of its configuration."""
-        description = describe(self.model)
-        free = ("workers", "dataset", "start", "rehearse")
-        description["config"] = {key: value for key, value in asdict(self.config).items() if key not in free}
-        description["dataset"] = self.windows.checksum
+        free = ("workers", "dataset", "start")
+        config = {key: value for key, value in asdict(self.config).items() if key not in free}
+        description = describe(self.model) | {"config": config, "dataset": self.windows.checksum}
         if self.config.start:
             description["start"] = Path(self.config.start).name
         return description
 
-    def _save_best(self) -> None:
-        progress = self.progress
-        weights = {name: part.half() for name, part in self.model.state_dict().items()}  # half the size
-        reached = {"validation_loss": progress.best, "epoch": progress.best_epoch, "steps": progress.step}
-        save_tensors(self.best, weights, self._description() | reached)
-
-    def _save_last(self) -> None:
-        tensors = dict(self.model.state_dict())
-        if self.model.learns:
-            for index, entries in self.optimizer.state_dict()["state"].items():
-                for name, value in entries.items():
-                    tensors[f"optimizer.{index}.{name}"] = value
-        save_tensors(self.last, tensors, self._description() | {"progress": asdict(self.progress)})
-
     def _restore(self, description: dict[str, Any], tensors: dict[str, Tensor]) -> None:
         """Go on from `last.safetensors`: weights, the optimiser's state, progress."""
-        weights = {name: part for name, part in tensors.items() if not name.startswith("optimizer.")}
         if "progress" not in description:
             raise FormatError(f"{self.last}: not the checkpoint of a training that can go on")
-        self.model.load_state_dict(weights)
         self.progress = Progress(**description["progress"])
+        weights = {name: part for name, part in tensors.items() if not name.startswith("optimizer.")}
+        self.model.load_state_dict(weights)
         if self.model.learns:
             state = self.optimizer.state_dict()
             for name in tensors.keys() - weights.keys():
