@@ -66,15 +66,9 @@ class PredictiveModel(Model, ABC):
 
     @abstractmethod
     def decode(self, context: Context, actions: Tensor, held: Tensor) -> StateTensors:
-        """Return the predicted states of all steps.
+        """Return the states of all steps under plans (C, horizon, 2, 3), held or not (C, horizon), given the context of `encode`.
 
-        Parameters
-        ----------
-        context : dict of Tensor
-            Of `encode`, for B windows.
-        actions : (C, horizon, 2, 3)
-            Planned targets of the grippers, metres. C is B, or any number when B is 1: one history under C plans.
-        held : (C, horizon) bool
+        C is the number of windows; or any number where there is one window, and one history has C plans.
         """
 
     def forward(self, window: Window) -> StateTensors:

@@ -26,12 +26,7 @@ from ._motion import Motion
 from ._networks import MLP, PointNet
 
 MODELS: Mapping[str, type[Model]] = {
-    "hold": Hold,
-    "carry": Carry,
-    "ridge": Ridge,
-    "mlp": MLP,
-    "pointnet": PointNet,
-    "motion": Motion,
+    kind.__name__.lower(): kind for kind in (Hold, Carry, Ridge, MLP, PointNet, Motion)
 }
 
 

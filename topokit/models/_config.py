@@ -4,12 +4,11 @@ from __future__ import annotations
 
 from dataclasses import asdict, field, replace
 from pathlib import Path
-from typing import Any, NamedTuple
+from typing import Any, Literal, NamedTuple
 
 from topokit._config import Count, Positive, checked, load
 
 from ._baselines import Shape
-from ._checkpoint import MODELS
 
 
 class Windows(NamedTuple):
@@ -24,7 +23,8 @@ class Windows(NamedTuple):
 class TrainConfig:
     """The configuration of `topokit train`; a ValueError names an entry that is unknown or refused."""
 
-    model: str  #: name of the model, see `topokit.models.build`
+    #: Name of the model, see `topokit.models.build`.
+    model: Literal["hold", "carry", "ridge", "mlp", "pointnet", "motion"]
     dataset: str = "."  #: directory of a dataset, relative to the configuration's file
     start: str = ""  #: checkpoint whose weights the training starts from, relative to the configuration's file
     options: dict[str, Any] = field(default_factory=dict)  #: keyword arguments of the model
@@ -45,10 +45,6 @@ class TrainConfig:
     patience: Count = 5  #: number of epochs without a smaller validation loss after which training stops
     threads: Count = 2  #: threads of PyTorch; with another number the weights differ in their last bits
     workers: int = 0  #: number of processes that read windows, besides the training process
-
-    def __post_init__(self) -> None:
-        if self.model not in MODELS:
-            raise ValueError(f"model must be one of {', '.join(MODELS)}, not {self.model!r}")
 
     @classmethod
     def load(cls, path: str | Path) -> TrainConfig:

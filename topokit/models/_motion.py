@@ -51,7 +51,7 @@ class Codes(NamedTuple):
 
 
 class Motion(Model):
-    """Motion of points under plans.
+    """Motion of points under plans, for 60 frames.
 
     A scene is a dict of tensors of B windows, in metres:
 
@@ -68,9 +68,9 @@ class Motion(Model):
     Parameters
     ----------
     shape : Shape
-        Its `horizon` is 60; its `points` are the most points of a cloud that are read.
+        Its `points` are the most points of a cloud that are read.
     normalisation : Normalisation
-        Normalisation for the checkpoint; the network itself needs none.
+        For the checkpoint; the network needs none.
     width : int
         Units of a point's code.
     without : sequence of str
@@ -160,14 +160,9 @@ class Motion(Model):
         return Codes(code, place, hands[:, 0], target, floor, origin, axes, carriers, swapped)
 
     def under(self, codes: Codes, actions: Tensor, held: Tensor) -> tuple[Tensor, Tensor]:
-        """Return places and scales, as `forward` does, under C plans: one plan a scene, or any number for a single scene.
+        """Return places and scales, as `forward` does, under plans (C, 60, 2, 3), held or not (C, 60).
 
-        Parameters
-        ----------
-        codes : Codes
-        actions : (C, 60, 2, 3)
-            Planned places of the grippers, metres.
-        held : (C, 60) bool
+        There is one plan for each scene, or any number of plans for a single scene.
         """
         plans = len(actions)
         carriers = codes.carriers
@@ -178,8 +173,7 @@ class Motion(Model):
         # Compute the plan at the knots: places of the grippers, and how held cloth is carried from knot to knot.
         actions = _local(_renamed(actions, codes.swapped), codes.origin, codes.axes)
         hands, shares = _hands(actions, held, codes.hands)  # (C, 13, 2, 3), (C, 13)
-        start = codes.hands.expand(plans, -1, -1)[:, None]
-        before = torch.cat([start, hands[:, :-1]], dim=1)
+        before = torch.cat([codes.hands.expand(plans, -1, -1)[:, None], hands[:, :-1]], dim=1)
         turns = _turns(before.flatten(0, 1), hands.flatten(0, 1)).unflatten(0, hands.shape[:2])  # (C, 13, 3, 3)
         shifts = hands.mean(dim=2, keepdim=True) - before.mean(dim=2, keepdim=True) @ turns  # (C, 13, 1, 3)
         if "carry" in self.without:
@@ -200,10 +194,8 @@ class Motion(Model):
             pooled = torch.cat([pooled.mean(dim=1), pooled.amax(dim=1)], dim=1)
             scene = self.scene(torch.cat([of_plan[:, k], pooled], dim=1))  # (C, 3 width)
             to_hands = [hand[:, None] - ahead for hand in hands[:, k].unbind(dim=1)]
-            target_and_floor = [_beside(ahead, target), _above(ahead, codes.floor)]
-            own = self.own(
-                torch.cat([*to_hands, *target_and_floor, ahead - place, 3 * step], dim=-1)
-            )  # (C, N, 3 width)
+            features = [*to_hands, _beside(ahead, target), _above(ahead, codes.floor), ahead - place, 3 * step]
+            own = self.own(torch.cat(features, dim=-1))  # (C, N, 3 width)
             code = _gated(own + scene[:, None], self.before(code), code)
             # Add the motion of the point besides being carried.
             change = self.out(code)  # (C, N, 4)
@@ -221,15 +213,9 @@ class Motion(Model):
         The distortion is the error of the distances between points. Topology depends on it: deaths differ by at most half of
         the largest distortion. An error that all points share moves no killer to another place of the cloth.
 
-        Clouds are thinned at random, so that nothing depends on the number of visible points.
-
-        Parameters
-        ----------
-        scene : dict of Tensor
-            Scene with its plans, `future` (B, 13, carriers + n, 3) and `known` (B, 13), as `Scenes` returns it; or `known`
-            (B, 13, carriers + n), where only some points have a known future.
-        generator : torch.Generator
-            Generator of the random numbers.
+        Clouds are thinned at random, so that nothing depends on the number of visible points. The scene also has `future`
+        (B, 13, carriers + n, 3) and `known` (B, 13), as `Scenes` returns it; or `known` (B, 13, carriers + n), where only some
+        points have a known future.
         """
         whole = scene["cloud"].shape[1]
         kept = int(torch.randint(64, whole + 1, (), generator=generator))
@@ -269,20 +255,7 @@ def carried(points: Tensor, before: Tensor, now: Tensor) -> Tensor:
 
 def _turns(before: Tensor, now: Tensor) -> Tensor:
     """Return matrices (B, 3, 3) that turn rows about the vertical as the line between grippers (B, 2, 3) turns."""
-    old = (before[:, 1] - before[:, 0])[:, :2]
-    new = (now[:, 1] - now[:, 0])[:, :2]
-    size = (old.norm(dim=1) * new.norm(dim=1)).clamp_min(1e-6)
-    cosine = (old * new).sum(dim=1) / size
-    sine = (old[:, 0] * new[:, 1] - old[:, 1] * new[:, 0]) / size
-    return _about_the_vertical(cosine, sine)
-
-
-def _about_the_vertical(cosine: Tensor, sine: Tensor) -> Tensor:
-    """Return matrices (B, 3, 3) that turn rows about the vertical."""
-    none = torch.zeros_like(sine)
-    unit = torch.ones_like(sine)
-    rows = [cosine, sine, none, -sine, cosine, none, none, none, unit]
-    return torch.stack(rows, dim=1).unflatten(1, (3, 3))
+    return _frame(before)[1].mT @ _frame(now)[1]
 
 
 def _hands(actions: Tensor, held: Tensor, start: Tensor) -> tuple[Tensor, Tensor]:
@@ -360,7 +333,9 @@ def _frame(grippers: Tensor) -> tuple[Tensor, Tensor]:
     across = (grippers[:, 1] - grippers[:, 0])[:, :2]
     size = across.norm(dim=1, keepdim=True)
     x, y = torch.where(size > 1e-3, across / size.clamp_min(1e-6), across.new_tensor([1.0, 0.0])).unbind(dim=1)
-    return grippers.mean(dim=1), _about_the_vertical(x, y)
+    none = torch.zeros_like(x)
+    rows = [x, y, none, -y, x, none, none, none, torch.ones_like(x)]
+    return grippers.mean(dim=1), torch.stack(rows, dim=1).unflatten(1, (3, 3))
 
 
 def _local(points: Tensor, origin: Tensor, axes: Tensor) -> Tensor:

@@ -90,14 +90,7 @@ def _layers(widths: Sequence[int]) -> list[nn.Module]:
 
 
 def carried_middle(actions: Tensor, held: Tensor) -> Tensor:
-    """Return the planned middle (C, K, 3) of the grippers, which stays where they let go of the cloth.
-
-    Parameters
-    ----------
-    actions : (C, K, 2, 3)
-    held : (C, K) bool
-        A plan in which they never hold stays at its first step.
-    """
+    """Return the planned middle (C, K, 3) of the grippers, which stays where they let go of the cloth, or at the first step."""
     steps = torch.arange(held.shape[1], device=held.device).expand(held.shape)
     last_held = torch.where(held, steps, 0).cummax(dim=1).values
     return actions.mean(dim=2).take_along_dim(last_held[..., None], dim=1)

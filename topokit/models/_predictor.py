@@ -28,12 +28,9 @@ Array = NDArray[np.float32]
 
 
 class Predictor:
-    """Forecasts of the topological state from a stream of point clouds.
+    """Forecasts of the topological state from a stream of point clouds, by a model of `build` that reads windows.
 
-    Parameters
-    ----------
-    model : PredictiveModel
-        For a `Motion` use `Predictor.of`, which chooses a `MotionPredictor`.
+    For a model of motion use `Predictor.of`, which chooses a `MotionPredictor`.
     """
 
     def __init__(self, model: Model) -> None:
@@ -148,10 +145,6 @@ class MotionPredictor(Predictor):
     There are two tiers. The fast one, for many plans, moves the corners of each loop's triangles and no other points. The exact
     one moves the whole cloud under one plan. At the frames that `exact` names it finds each loop's killer anew in the moved
     cloud (`topokit.follow`), and the loops that open there.
-
-    Parameters
-    ----------
-    model : Motion
     """
 
     model: Motion

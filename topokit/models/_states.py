@@ -80,7 +80,7 @@ class StateTensors:
     @property
     def triangles(self) -> Tensor:
         """Return the triangles (B, K, S, 6, 3, 3): the killer triangles, thick first, and the neighbours."""
-        return self.corners[..., torch.tensor(TRIANGLES, device=self.corners.device), :]
+        return self.corners[..., torch.tensor(TRIANGLES), :]
 
     @property
     def values(self) -> Tensor:
@@ -193,8 +193,7 @@ def corners_of(triangles: Tensor, values: Tensor) -> tuple[Tensor, Tensor]:
     neighbour is the middle of that edge.
     """
     corners = torch.cat([triangles[:, 0], triangles[:, 1, 2:]], dim=1)  # (N, 4, 3): x, y, z1, z2
-    edges = torch.tensor([triangle[:2] for triangle in TRIANGLES[2:]], device=triangles.device)
-    outer = corners[:, edges]  # (N, 4 edges, 2, 3)
+    outer = corners[:, [triangle[:2] for triangle in TRIANGLES[2:]]]  # (N, 4 edges, 2, 3)
 
     # Assign each listed neighbour to the outer edge that its first two vertices are.
     listed = triangles[:, 2:]  # (N, 4 neighbours, 3, 3)

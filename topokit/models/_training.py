@@ -24,7 +24,7 @@ from torch import Tensor
 from torch.utils.data import DataLoader, Subset, default_collate
 from tqdm import tqdm
 
-from topokit._archive import FormatError, atomic_file
+from topokit._archive import atomic_file
 from topokit._config import from_mapping
 
 from ._baselines import Model, Normalisation, Ridge
@@ -114,17 +114,6 @@ class _Training:
             self.optimizer = torch.optim.AdamW(parameters, config.learning_rate, weight_decay=1e-4, fused=True)
         if saved:
             self._restore(*saved)
-
-        # One loader serves all epochs, each in its own order: workers keep the films that they have read.
-        self.order: list[int] = []
-        self.loader: DataLoader[Window] = DataLoader(
-            windows.train,
-            config.batch,
-            sampler=self.order,
-            drop_last=True,
-            num_workers=config.workers,
-            persistent_workers=config.workers > 0,
-        )
         n = len(windows.train)
         self.steps_per_epoch = min(config.windows_per_epoch or n, n) // config.batch
 
@@ -166,12 +155,13 @@ class _Training:
 
     def _batches(self) -> Any:
         """Return the batches of the epoch, under a bar; their order depends on the seed and the epoch alone."""
+        config = self.config
+        windows = self.windows.train
         epoch = self.progress.epoch
-        generator = torch.Generator().manual_seed(self.config.seed * 1_000_003 + epoch)
-        order = torch.randperm(len(self.windows.train), generator=generator)
-        self.order[:] = order[: self.config.windows_per_epoch].tolist()
-        total = self.steps_per_epoch
-        return tqdm(self.loader, f"epoch {epoch + 1}", total, unit="batch", leave=False, disable=not self.show)
+        generator = torch.Generator().manual_seed(config.seed * 1_000_003 + epoch)
+        order = torch.randperm(len(windows), generator=generator)[: config.windows_per_epoch].tolist()
+        loader = DataLoader(windows, config.batch, sampler=order, drop_last=True, num_workers=config.workers)
+        return tqdm(loader, f"epoch {epoch + 1}", unit="batch", leave=False, disable=not self.show)
 
     def _step(self, window: Window) -> dict[str, Tensor]:
         """Take a step along the gradient of a batch, of which half is seen in the mirror."""
@@ -237,7 +227,7 @@ class _Training:
         return {name: value / len(chosen) for name, value in sums.items()}
 
     def _description(self) -> dict[str, Any]:
-        """Return the description of a checkpoint; what may change when a training goes on is left out of its configuration."""
+        """Return the description of a checkpoint. Its configuration lacks what may change when a training goes on."""
         free = ("workers", "dataset", "start")
         config = {key: value for key, value in asdict(self.config).items() if key not in free}
         description = describe(self.model) | {"config": config, "dataset": self.windows.checksum}
@@ -247,8 +237,6 @@ class _Training:
 
     def _restore(self, description: dict[str, Any], tensors: dict[str, Tensor]) -> None:
         """Go on from `last.safetensors`: weights, the optimiser's state, progress."""
-        if "progress" not in description:
-            raise FormatError(f"{self.last}: not the checkpoint of a training that can go on")
         self.progress = Progress(**description["progress"])
         weights = {name: part for name, part in tensors.items() if not name.startswith("optimizer.")}
         self.model.load_state_dict(weights)
