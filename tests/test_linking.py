@@ -11,11 +11,10 @@ from hypothesis import strategies as st
 from scipy.optimize import lsq_linear
 from scipy.spatial.transform import Rotation
 
-from topokit import linking_number, rips_persistence, track
-from topokit.io import load_episode
+from topokit import linking_number, track
 from topokit.linking import close_far, curve_centroid, linking_numbers, side_lengths, to_segment
 
-from conftest import DATA, polygon
+from conftest import polygon
 
 
 def torus_curve(turns, n=40, phase=0.0):
@@ -48,18 +47,18 @@ def crossings(a, b, direction=(1, 4099, 4099**2)):
 
     The direction is so steep in every coordinate that small integer vectors are orthogonal to it only when they are zero.
     """
-    a, b = ([[Fraction(x) for x in point] for point in curve.tolist()] for curve in (a, b))
+    a, b = (np.vectorize(Fraction, otypes=[object])(curve) for curve in (a, b))
     signs = []
-    for p, q in zip(a, a[1:] + a[:1], strict=True):
-        for s, e in zip(b, b[1:] + b[:1], strict=True):
-            u, v = minus(q, p), minus(e, s)
-            ahead, behind = (triple(v, minus(end, s), direction) for end in (p, q))
-            left, right = (triple(u, minus(end, p), direction) for end in (s, e))
+    for p, q in zip(a, np.roll(a, -1, axis=0), strict=True):
+        for s, e in zip(b, np.roll(b, -1, axis=0), strict=True):
+            u, v = q - p, e - s
+            ahead, behind = (triple(v, end - s, direction) for end in (p, q))
+            left, right = (triple(u, end - p, direction) for end in (s, e))
             if ahead * behind >= 0 or left * right >= 0:
                 if ahead * behind * left * right == 0:
                     raise Degenerate
                 continue
-            gap = triple(u, v, minus(s, p))  # 0 when the segments meet
+            gap = triple(u, v, s - p)  # 0 when the segments meet
             if gap == 0:
                 raise Touch
             turn = triple(u, v, direction)
@@ -71,10 +70,6 @@ def crossings(a, b, direction=(1, 4099, 4099**2)):
 def generic(curve):
     """The curve turned askew and rounded, so that no two of its coordinates are equal by symmetry."""
     return np.rint(1e6 * curve @ Rotation.from_rotvec([0.3, 0.5, 0.7]).as_matrix().T)
-
-
-def minus(p, q):
-    return [x - y for x, y in zip(p, q, strict=True)]
 
 
 def triple(u, v, w):
@@ -213,26 +208,6 @@ def test_quadrilateral_goes_around_its_loop():
     assert linking_number(loop.quadrilateral, axis + [3, 0, 0]) == 0
     flat = track([ring[:, :2]])[0].loops[0]
     assert flat.quadrilateral.shape == (4, 2)
-
-
-@pytest.fixture(scope="module", params=range(3))
-def hanging(request):
-    """A recorded episode, its hook closed far away, and the linking number of its true loop in every frame."""
-    episode = load_episode(DATA / f"apron_hook_{request.param}.npz")
-    hook = close_far(episode.centre_line)
-    return episode, hook, np.abs(linking_numbers(episode.points[:, episode.loops[0]], hook)[0])
-
-
-def test_the_cycle_of_a_cloud_knows_whether_it_hangs(hanging):
-    """Tight around its loop, the cycle winds around the hook just when the true loop does, but for the very passage."""
-    episode, hook, linked = hanging
-    passage = int(np.argmax(linked))
-    for frame in [*range(0, len(linked), 5), passage - 3, passage + 3]:
-        cloud = episode.observed[frame]
-        cycle = cloud[rips_persistence(cloud).cycle(0)]
-        assert linking_number(cycle, hook + [0.6, 0, 0]) == 0
-        if abs(frame - passage) > 2:
-            assert abs(linking_number(cycle, hook)) == linked[frame]
 
 
 def test_far_away_is_where_it_is_said_to_be():

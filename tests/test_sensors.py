@@ -23,9 +23,6 @@ def clouds(path, **options):
     return [cloud for _, cloud in read_clouds(path, **options)]
 
 
-# -- files ------------------------------------------------------------------------------------------------------------------
-
-
 @pytest.mark.parametrize("encoding", ["ascii", "binary"])
 def test_ply_with_colours(encoding, tmp_path):
     cloud = trimesh.PointCloud(ring(), colors=np.full((60, 4), 200, np.uint8))
@@ -175,9 +172,6 @@ def test_files_that_hold_no_cloud(tmp_path):
     for path in tmp_path.iterdir():
         with pytest.raises(FormatError, match=path.name):
             clouds(path, layout="film", columns=("x", "y", "z") if path.suffix == ".csv" else None)
-
-
-# -- cleaning ---------------------------------------------------------------------------------------------------------------
 
 
 def test_each_step_removes_what_it_should():

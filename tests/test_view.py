@@ -63,9 +63,6 @@ def states(episode):
     return tk.track(episode.points, times=episode.times)
 
 
-# ---- diagrams and tracks
-
-
 def test_a_diagram_has_a_dot_for_each_loop_in_its_colour(states):
     axes = view.plot_diagram(states[0])
     dots = [line for line in axes.lines if line.get_marker() == "o"]
@@ -95,9 +92,6 @@ def test_tracks_break_where_a_loop_is_missing(states):
     assert not view.plot_tracks([]).lines
 
 
-# ---- cloth
-
-
 def test_a_cloth_is_drawn_with_rod_and_killers(episode, states):
     loop = states[0].loops[0]
     given = {"loops": [loop], "true_loops": episode.loops, "centre_line": episode.centre_line}
@@ -108,18 +102,6 @@ def test_a_cloth_is_drawn_with_rod_and_killers(episode, states):
     assert mpl.colors.to_hex(edge.get_color()[0]).upper() == view.loop_colour(loop.id)
 
 
-@pytest.mark.parametrize(
-    ("points", "faces", "message"),
-    [
-        (np.zeros((4, 3)), [[0, 1, 4]], "faces.*4"),
-        (np.full((4, 3), np.nan), [], "points.*NaN"),
-    ],
-)
-def test_a_cloth_that_cannot_be_drawn_is_refused(points, faces, message):
-    with pytest.raises(ValueError, match=message):
-        view.plot_cloth(points, faces)
-
-
 def test_nothing_is_drawn_from_uninitialised_memory(episode, states, monkeypatch):
     def arbitrary_memory(shape, dtype=float, **options):
         return np.full(shape, 1.7e308 if np.issubdtype(dtype, np.floating) else 0, dtype, **options)
@@ -128,9 +110,6 @@ def test_nothing_is_drawn_from_uninitialised_memory(episode, states, monkeypatch
         patch.setattr(np, "empty", arbitrary_memory)
         axes = view.plot_cloth(episode.points[0], episode.faces, loops=states[0].loops, centre_line=episode.centre_line)
         axes.figure.canvas.draw()
-
-
-# ---- the look of cloth: check, seams, shadow, light
 
 
 def sheet(columns: int = 9, rows: int = 13, step: float = 0.05) -> tuple[np.ndarray, np.ndarray]:
@@ -185,21 +164,13 @@ def test_a_fold_is_light_on_the_side_of_the_lamp():
     assert np.median(pixels[90:150, 60:95]) > np.median(pixels[90:150, 105:140]) + 10
 
 
-# ---- the player and the wardrobe
-
-
-def test_the_player_holds_the_episode(episode, states):
+def test_the_player_holds_the_episode_and_the_loops_of_each_frame(episode, states):
     data = page_data(view.player(episode, states))
-    packed = data["arrays"]["points"]
-    assert abs(unpack(packed) - episode.points).max() <= packed["scale"] / 2 + 1e-9
-    assert packed["scale"] / 2 < 1e-5
-    np.testing.assert_array_equal(unpack(data["arrays"]["faces"]), episode.faces)
-    np.testing.assert_array_equal(unpack(data["arrays"]["held"]), episode.held)
+    arrays = {name: unpack(packed) for name, packed in data["arrays"].items()}
+    assert abs(arrays["points"] - episode.points).max() <= data["arrays"]["points"]["scale"] / 2 + 1e-9 < 1e-5
+    np.testing.assert_array_equal(arrays["faces"], episode.faces)
+    np.testing.assert_array_equal(arrays["held"], episode.held)
     assert data["truth"] == [episode.loops[0].tolist()]
-
-
-def test_the_player_holds_the_loops_of_each_frame(episode, states):
-    arrays = {name: unpack(packed) for name, packed in page_data(view.player(episode, states))["arrays"].items()}
     for frame, state in enumerate(states):
         rows = slice(arrays["first"][frame], arrays["first"][frame + 1])
         assert arrays["id"][rows].tolist() == [loop.id for loop in state.loops]
@@ -210,15 +181,12 @@ def test_the_player_holds_the_loops_of_each_frame(episode, states):
 
 
 def test_the_player_starts_at_the_longest_life_or_at_a_given_frame(episode, states):
+    """An episode without loops or faces starts at its first frame."""
     neck = states[0].loops[0].id
-    start = page_data(view.player(episode, states))["start"]
-    assert start == int(np.argmax([state[neck].lifetime for state in states]))
-    assert page_data(view.player(episode, states, start=3))["start"] == 3
+    longest = int(np.argmax([state[neck].lifetime for state in states]))
+    assert [page_data(view.player(episode, states, start=t))["start"] for t in (None, 3)] == [longest, 3]
     with pytest.raises(ValueError, match=r"5 frames .* 6"):
         view.player(episode, states[:-1])
-
-
-def test_the_player_shows_an_episode_without_loops_or_faces(episode):
     bare = replace(episode, faces=np.zeros((0, 3), np.int32), loops=(), centre_line=np.zeros((0, 3), np.float32))
     data = page_data(view.player(bare, [tk.TopologicalState(t, 0.0) for t in range(FRAMES)]))
     assert (data["long"], data["marks"], data["start"]) == ([], [], 0)
@@ -227,14 +195,12 @@ def test_the_player_shows_an_episode_without_loops_or_faces(episode):
 def test_a_wardrobe_holds_each_mesh_and_its_true_loops():
     worn = {name: WARDROBE[name]() for name in ("mask", "shirt")}
     meshes = page_data(figures.wardrobe(worn))["garments"]
-    assert [mesh["name"] for mesh in meshes] == ["mask", "shirt"]
-    for mesh, garment in zip(meshes, worn.values(), strict=True):
+    for mesh, (name, garment) in zip(meshes, worn.items(), strict=True):
+        assert mesh["name"] == name
         np.testing.assert_allclose(unpack(mesh["points"])[0], garment.vertices, atol=1e-4)
         np.testing.assert_array_equal(unpack(mesh["faces"]), garment.faces)
         assert [list(loop) for loop in garment.loops] == mesh["truth"]
 
-
-# ---- plans
 
 AHEAD = (1, 3, 6, 10)
 PLANS = (3, 5)
