@@ -35,8 +35,7 @@ class Task:
     name: str  #: name, made of garment, hyphen, target
     garment: Callable[[], Garment]  #: function that makes the garment
     target: Target  #: target to hang it on
-    #: Function that draws the path to the target before it is placed, with the given generator alone.
-    plan: PathScript
+    plan: PathScript  #: function that draws the path to the target before it is placed, with the given generator alone
     loops: tuple[str, ...] = ()  #: names of the true loops, of which at least one must be on the target
     all_loops: bool = False  #: switch: all of these loops must be on the target
 
@@ -52,12 +51,6 @@ class Task:
         target : Hook, Hanger or Mannequin
         loops : sequence of str, optional
             The loops of which one must be on the target; not needed for a garment of the wardrobe, or with a single loop.
-
-        Raises
-        ------
-        ValueError
-            When the garment has several loops and none is named, or when it is no garment of the wardrobe and the target is a
-            mannequin.
         """
         name = f"{garment.name}-{target.name}"
         if name in TASKS and not loops:

@@ -237,8 +237,7 @@ class World(contextlib.AbstractContextManager["World"]):
     def observe(self, cameras: Sequence[Camera], n: int, rng: np.random.Generator) -> Array:
         """Return `n` points (n, 3) of the cloth in the cameras' images: a farthest-point sample of all their pixels.
 
-        When fewer than `n` points are visible, they are repeated in order; `topokit.track` counts points at one place once. When
-        no cloth is in view, there are none: (0, 3).
+        When fewer are visible, they are repeated in order. When no cloth is in view, there are none: (0, 3).
 
         Parameters
         ----------
