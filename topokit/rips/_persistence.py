@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import math
 import sys
 import threading
 from collections.abc import Iterable, Iterator, Sequence
@@ -11,13 +10,16 @@ from functools import cache
 from importlib.util import find_spec
 
 import numpy as np
-from numpy.typing import ArrayLike, NDArray
+from numpy.typing import ArrayLike
 
 from .._cores import n_cores
-from .._validate import Ids, as_sequence, positive, whole
+from .._validate import Array, Ids, as_sequence, positive, whole
 from . import pairing
 from ._cloud import Cloud, check_memory
 from ._diagram import Diagram
+
+# A killer edge (0, 1) with its two apexes (2, 3) gives two triangles; that of the second apex is first.
+TRIANGLES = np.array([[0, 1, 3], [0, 1, 2]])
 
 
 def rips_persistence(
@@ -116,10 +118,13 @@ def _diagrams(clouds: Sequence[Cloud], workers: int, max_radius: float, min_life
     with_engine = _engine_pays(clouds)
 
     def diagram_of(cloud: Cloud) -> Diagram:
-        pairs = (
-            _pairs_of_engine(cloud, cutoff, stop) if with_engine else pairing.pair_edges(cloud, cloud.key_of(cutoff))
-        )
-        return _diagram(cloud, *pairs, cutoff, shortest)
+        key = cloud.key_of(cutoff)
+        if with_engine and len(cloud) > 3:  # a matrix with three columns would look like points
+            check_memory(len(cloud), is_matrix=cloud.is_matrix)
+            from .engine.pairing import pair_edges  # numba is imported here
+
+            return _diagram(cloud, *pair_edges(cloud.data, key, stop), cutoff, shortest)
+        return _diagram(cloud, *pairing.pair_edges(cloud, key), cutoff, shortest)
 
     # Long work of the engine is done by other threads, so that Ctrl-C, which the main thread alone hears, can end it.
     is_long = sum(len(cloud) ** 2 for cloud in clouds) > 5e5
@@ -136,46 +141,28 @@ def _diagrams(clouds: Sequence[Cloud], workers: int, max_radius: float, min_life
             stop[0] = 1
 
 
-def _pairs_of_engine(cloud: Cloud, cutoff: float, stop: NDArray[np.int64]) -> tuple[Ids, Ids]:
-    """Pair the edges of a cloud as `pairing.pair_edges` does."""
-    if len(cloud) < 4:
-        return np.empty((0, 2), np.int64), np.empty((0, 4), np.int64)
-    check_memory(len(cloud), is_matrix=cloud.is_matrix)
-    from .engine.pairing import pair_edges  # numba is imported here
-
-    if cloud.is_matrix:
-        created, killed, number = pair_edges(cloud.data, cloud.key_of(cutoff), stop)
-    else:
-        # A power of two brings all coordinates to at most 1, and costs no digit.
-        scale = 2.0 ** -math.frexp(np.abs(cloud.data).max())[1]
-        created, killed, number = pair_edges(cloud.data * scale, cloud.key_of(cutoff) * scale**2, stop)
-    return number[created], np.append(number, -1)[killed]
-
-
-def _diagram(cloud: Cloud, created: Ids, killed: Ids, cutoff: float, shortest: float) -> Diagram:
+def _diagram(
+    cloud: Cloud, created: Ids, killed: Ids, birth: Array, death: Array, cutoff: float, shortest: float
+) -> Diagram:
     """Return the diagram of the loops that live long enough, longest lifetime first; ties keep the order of birth."""
-    created.sort()
-    killed[:, :2].sort()
-    ends = np.stack([created, killed[:, :2]])
-    birth, death = cloud.radii(ends[..., 0], ends[..., 1])
-    alive = (killed[:, 0] < 0) | (death > cutoff)
-    death[alive] = np.inf
-    killed[alive] = -1
-    if cutoff < np.inf:
+    if cutoff < np.inf:  # its key was rounded up
+        late = death > cutoff
+        death[late] = np.inf
+        killed[late] = -1
         inside = birth <= cutoff
         created, killed, birth, death = created[inside], killed[inside], birth[inside], death[inside]
 
     lifetime = death - birth
-    order = np.argsort(-lifetime, kind="stable")
-    keep = order[((lifetime > 0) & (lifetime >= shortest))[order]]
+    order = (-lifetime).argsort(kind="stable")
+    lifetime = lifetime[order]
+    keep = order[(lifetime > 0) & (lifetime >= shortest)]
     killers = killed[keep]
     return Diagram(
         birth=birth[keep],
         death=death[keep],
         birth_edge=created[keep],
         killer_edge=killers[:, :2],
-        # A killer edge (0, 1) with its two apexes (2, 3) gives two triangles; that of the second apex is first.
-        killer_triangles=killers[:, [[0, 1, 3], [0, 1, 2]]],
+        killer_triangles=killers.take(TRIANGLES, axis=1),
         n_points=len(cloud),
         max_radius=cutoff,
         _cloud=cloud,

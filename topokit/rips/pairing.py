@@ -25,7 +25,7 @@ from .._validate import Array, Ids
 from ._cloud import Cloud
 
 
-def pair_edges(cloud: Cloud, max_key: float) -> tuple[Ids, Ids]:
+def pair_edges(cloud: Cloud, max_key: float) -> tuple[Ids, Ids, Array, Array]:
     """Pair the edges that create loops with the edges that kill them.
 
     Parameters
@@ -40,6 +40,8 @@ def pair_edges(cloud: Cloud, max_key: float) -> tuple[Ids, Ids]:
         Edges that create loops, in the order in which they arrive.
     killed : (c, 4) int64
         The edges that kill these loops, each with the apexes of its two triangles; -1 for a loop that is still alive.
+    birth, death : (c,) float64
+        The radii of these edges; death is inf for a loop that is still alive.
     """
     edges, arrival, keys = edges_in_order(cloud, max_key)
     joined = [1 << v for v in range(len(cloud))]  # a vertex is joined to itself
@@ -60,7 +62,10 @@ def pair_edges(cloud: Cloud, max_key: float) -> tuple[Ids, Ids]:
             first, *others = apexes_of(joined, lune, keys[np.maximum(arrival[x], arrival[y])])
             for further in others:
                 loops.add_relation(x, y, first, further)
-    return np.array(loops.created, np.int64).reshape(-1, 2), np.array(loops.killed, np.int64).reshape(-1, 4)
+    created = np.array(loops.created, np.int64).reshape(-1, 2)
+    killed = np.array(loops.killed, np.int64).reshape(-1, 4)
+    death = np.where(killed[:, 0] < 0, np.inf, cloud.radii(killed[:, 0], killed[:, 1]))
+    return created, killed, cloud.radii(created[:, 0], created[:, 1]), death
 
 
 # The total order ------------------------------------------------------------------------------------------------------
@@ -128,7 +133,7 @@ def apexes_of(joined: list[int], lune: int, values: Array) -> list[int]:
 
 
 def root_of(component: list[int], vertex: int) -> int:
-    """Return the vertex that stands for the component of a vertex."""
+    """Return the vertex that stands for the component of a vertex; the engine compiles this too."""
     while component[vertex] != vertex:
         component[vertex] = component[component[vertex]]
         vertex = component[vertex]

@@ -26,7 +26,7 @@ from typing import Any
 def _cache_folder() -> str:
     """Return a folder of the user's cache for the compiled code of these sources.
 
-    Numba compares one source file with its cache, and the engine has several; so the folder is named by all of them.
+    Numba compares one source file with its cache, and the engine has several; so the folder is named by all of `rips`.
     """
     if sys.platform == "darwin":
         caches = Path.home() / "Library" / "Caches"
@@ -34,7 +34,7 @@ def _cache_folder() -> str:
         caches = Path(os.environ.get("LOCALAPPDATA", Path.home()))
     else:
         caches = Path(os.environ.get("XDG_CACHE_HOME", Path.home() / ".cache"))
-    sources = sorted(Path(__file__).parent.glob("*.py"))
+    sources = sorted(Path(__file__).parents[1].rglob("*.py"))
     digest = hashlib.sha256(b"".join(source.read_bytes() for source in sources)).hexdigest()
     return str(caches / "topokit" / digest[:12])
 

@@ -2,24 +2,21 @@
 
 from __future__ import annotations
 
+import math
+
 import numpy as np
 from numba import njit
 
+from ..pairing import root_of as root_of_plain
 from . import compiled
-from .edges import are_points, edges_between, ends_of, first_window, new_edges, next_window
+from .edges import are_points, edge_length, edges_between, ends_of, first_window, new_edges, next_window
 from .lunes import count_components, find_middles, has_bit, is_cone, is_connected, join, new_grid, new_lune, write_lune
 from .relations import add_edge, add_loop, kill_loops, new_graph, new_loops
 from .stop import greatest_length, last_of_matrix, last_of_points
 from .tree import build_tree, first_numbers, tree_of_matrix
 
 
-@compiled
-def root_of(parent, x):
-    """Return the vertex that represents the component of x."""
-    while parent[x] != x:
-        parent[x] = parent[parent[x]]
-        x = parent[x]
-    return x
+root_of = compiled(root_of_plain)
 
 
 @compiled
@@ -43,19 +40,44 @@ def next_change(rows, keys, lengths, e, m, longest, alive, bits, left, stop):
     return e, z
 
 
+@compiled
+def scale_of(points):
+    """Return the power of two that brings all coordinates to at most 1, which costs no digit."""
+    largest = 0.0
+    for i in range(len(points)):
+        for k in range(3):
+            largest = max(largest, abs(points[i, k]))
+    return math.ldexp(1.0, -math.frexp(largest)[1])
+
+
+@compiled
+def take_edge(data, label, row):
+    """Number the vertices of a row as in the cloud, the smaller end of the edge first; return the length of the edge."""
+    x = row[0]
+    y = row[1]
+    if x < 0:
+        return np.inf
+    for k in range(len(row)):
+        row[k] = label[row[k]]
+    if row[0] > row[1]:
+        row[0], row[1] = row[1], row[0]
+    length = edge_length(data, x, y)
+    return np.sqrt(length) if are_points(data) else length
+
+
 @njit(error_model="numpy", nogil=True, cache=True)
 def pair_edges(data, max_length, stop):
-    """Pair the edges that create loops with the edges that kill them.
+    """Pair the edges that create loops with the edges that kill them, as `topokit.rips.pairing.pair_edges` does.
 
-    `data` holds (n, 3) points, of coordinates up to 1, or an (n, n) matrix of distances, n >= 4. Lengths are squared for points.
-    Another thread writes something other than 0 into `stop` (1,) to end the run; then the result is incomplete.
-
-    Return the (c, 2) edges that create loops, the (c, 4) killer edges with their two apexes, -1 for none, and the number in the
-    cloud of each vertex in these tables.
+    `data` holds (n, 3) points or an (n, n) matrix of distances, n >= 4. Lengths are squared for points. Another thread writes
+    something other than 0 into `stop` (1,) to end the run; then the result is incomplete.
     """
     n = len(data)
+    scale = 1.0
     if are_points(data):
-        tree = build_tree(data)
+        scale = scale_of(data)
+        max_length *= scale * scale
+        tree = build_tree(data, scale)
         data = tree.points
     else:
         tree = tree_of_matrix(n)
@@ -120,4 +142,10 @@ def pair_edges(data, max_length, stop):
         start = shortest
         shortest = longest
         longest = min(next_window(start, longest, m), beyond)
-    return loops.created[:born], loops.killed[:born], label
+
+    birth = np.empty(born)
+    death = np.empty(born)
+    for loop in range(born):
+        birth[loop] = take_edge(data, label, loops.created[loop]) / (2.0 * scale)
+        death[loop] = take_edge(data, label, loops.killed[loop]) / (2.0 * scale)
+    return loops.created[:born], loops.killed[:born], birth, death

@@ -69,8 +69,8 @@ def first_numbers(n):
 
 
 @compiled
-def build_tree(points):
-    """Build the tree of an (n, 3) cloud, n >= 1."""
+def build_tree(points, scale):
+    """Build the tree of an (n, 3) cloud, n >= 1, whose coordinates are multiplied by a scale."""
     n = len(points)
     depth = 0
     while n > 8 << depth:
@@ -83,14 +83,19 @@ def build_tree(points):
     low = np.empty((n_nodes, 3))
     high = np.empty((n_nodes, 3))
 
+    scaled = np.empty((n, 3))
+    for i in range(n):
+        for k in range(3):
+            scaled[i, k] = scale * points[i, k]
+
     # Halve the points of each node at the median of its longest axis.
     start[0] = 0
     end[0] = n
     for node in range(n_nodes):
-        axis = bound_box(points, order, start[node], end[node], low[node], high[node])
+        axis = bound_box(scaled, order, start[node], end[node], low[node], high[node])
         if node < first_leaf:
             middle = (start[node] + end[node]) >> 1
-            put_in_place(points, axis, order, start[node], end[node] - 1, middle)
+            put_in_place(scaled, axis, order, start[node], end[node] - 1, middle)
             start[2 * node + 1] = start[node]
             end[2 * node + 1] = middle
             start[2 * node + 2] = middle
@@ -99,7 +104,7 @@ def build_tree(points):
     ordered = np.empty((n, 3))
     for i in range(n):
         for k in range(3):
-            ordered[i, k] = points[order[i], k]
+            ordered[i, k] = scaled[order[i], k]
     return Tree(ordered, order, start, end, low, high, first_leaf)
 
 
