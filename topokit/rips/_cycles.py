@@ -18,8 +18,9 @@ import heapq
 import math
 import operator
 from collections.abc import Iterable, Sequence
-from functools import cached_property, lru_cache
+from functools import lru_cache
 from itertools import pairwise
+from typing import TypeVar
 
 import numpy as np
 from scipy.sparse import csr_array
@@ -33,6 +34,7 @@ SEARCH_LIMIT = 20_000  # pairs (vertex, class) looked at before a search gives u
 Edge = tuple[int, int]
 Time = tuple[float, int, int]  # when an edge arrives: its key (`Cloud.keys`), and its ends, the smaller one first
 NEVER: Time = (math.inf, 0, 0)
+T = TypeVar("T")
 
 
 class Homology:
@@ -42,6 +44,7 @@ class Homology:
         self._cloud = cloud
         self._simplices = (created, killed)
         self._places: list[list[float]] = [] if cloud.is_matrix else cloud.data.tolist()
+        self._tree = None if cloud.is_matrix else cKDTree(cloud.data)
         # Rows of keys are asked for again and again: keep up to four million numbers.
         rows_kept = max(4_000_000 // (len(cloud) + 1), 1)
         self._keys_from = lru_cache(rows_kept)(self._new_keys_from)
@@ -60,16 +63,12 @@ class Homology:
 
     def time(self, i: int, j: int) -> Time:
         """Return when the edge {i, j} arrives."""
-        return self._key(i, j), min(i, j), max(i, j)
+        return self._key(i, j), *as_edge(i, j)
 
     def side(self, a: int, b: int) -> float:
         """Return the length of an edge."""
         key = self._key(a, b)
         return key if self._cloud.is_matrix else math.sqrt(key)
-
-    def length(self, walk: Sequence[int]) -> float:
-        """Return the length of a closed walk."""
-        return math.fsum(self.side(a, b) for a, b in sides(walk))
 
     def _path_length(self, path: Sequence[int]) -> float:
         return sum(self.side(a, b) for a, b in pairwise(path))
@@ -92,7 +91,7 @@ class Homology:
     def _new_complex_at(self, time: Time) -> csr_array:
         """Return the edges before a time, as the (n, n) sparse matrix of their lengths."""
         n = len(self._cloud)
-        if self._cloud.is_matrix:
+        if self._tree is None:
             a, b = np.nonzero(np.triu(self._cloud.data <= time[0], 1))
         else:
             a, b = self._tree.query_pairs(math.sqrt(time[0]) * (1 + 1e-12), output_type="ndarray").T
@@ -102,10 +101,6 @@ class Homology:
         b = b[arrived]
         lengths = keys[arrived] if self._cloud.is_matrix else np.sqrt(keys[arrived])
         return csr_array((np.tile(lengths, 2), (np.append(a, b), np.append(b, a))), (n, n))
-
-    @cached_property
-    def _tree(self) -> cKDTree:
-        return cKDTree(self._cloud.data)
 
     def _neighbours(self, vertex: int, time: Time) -> tuple[Ids, Array]:
         """Return the vertices joined to a vertex before a time, and the lengths of the edges to them."""
@@ -132,32 +127,28 @@ class Homology:
 
     def in_creators(self, a: int, b: int) -> int:
         """Return the edge {a, b} written in creators."""
-        waiting = [(min(a, b), max(a, b))]
+        asked = as_edge(a, b)
         apexes = dict[Edge, int]()
+        waiting = [asked]
         while waiting:
-            edge = waiting[-1]
-            if edge in self._in_creators:
-                waiting.pop()
-                continue
-            if edge in self._creator:
-                self._in_creators[edge] = 1 << self._creator[edge]
+            edge = waiting.pop()
+            if edge in self._in_creators or edge in apexes:
                 continue
             x, y = edge
-            if edge not in apexes:
-                apexes[edge] = self._first_triangle(x, y)
-            z = apexes[edge]
-            if z < 0:  # an edge of the tree
-                self._in_creators[edge] = 0
-                continue
+            z = -1 if edge in self._creator else self._first_triangle(x, y)
+            apexes[edge] = z
+            if z >= 0:
+                waiting += [as_edge(x, z), as_edge(y, z)]
 
-            # The two other edges of its first triangle stand for it, once both are written.
-            first = (min(x, z), max(x, z))
-            second = (min(y, z), max(y, z))
-            if first in self._in_creators and second in self._in_creators:
-                self._in_creators[edge] = self._in_creators[first] ^ self._in_creators[second]
+        # A creator stands for its loop, an edge of the tree for none, and the two other edges of its first triangle, which
+        # arrive earlier, for any other edge.
+        for x, y in sorted(apexes, key=lambda edge: self.time(*edge)):
+            z = apexes[x, y]
+            if z >= 0:
+                self._in_creators[x, y] = self._in_creators[as_edge(x, z)] ^ self._in_creators[as_edge(y, z)]
             else:
-                waiting += [first, second]
-        return self._in_creators[min(a, b), max(a, b)]
+                self._in_creators[x, y] = 1 << self._creator[x, y] if (x, y) in self._creator else 0
+        return self._in_creators[asked]
 
     def _walk_in_creators(self, walk: Sequence[int]) -> int:
         total = 0
@@ -172,7 +163,7 @@ class Homology:
             self._classes = {}
         total = 0
         for a, b in edges:
-            edge = (a, b) if a < b else (b, a)
+            edge = as_edge(a, b)
             if edge not in self._classes:
                 self._classes[edge] = self._reduced(self.in_creators(a, b), time)[0]
             total ^= self._classes[edge]
@@ -204,13 +195,12 @@ class Homology:
             if current not in unfinished:
                 x, y, first, further = self._killers[current]
                 unfinished[current] = self._walk_in_creators([x, first, y, further])
-            while True:
-                youngest = unfinished[current].bit_length() - 1
-                if youngest == current or youngest not in self._columns:
-                    break
-                unfinished[current] ^= self._columns[youngest]
+            column = unfinished[current]
+            while (youngest := column.bit_length() - 1) != current and youngest in self._columns:
+                column ^= self._columns[youngest]
+            unfinished[current] = column
             if youngest == current:
-                self._columns[current] = unfinished[current]
+                self._columns[current] = column
                 waiting.pop()
             else:  # the relation of that loop is needed first
                 waiting.append(youngest)
@@ -254,41 +244,28 @@ class Homology:
 
     def path(self, sources: Sequence[int], targets: Sequence[int], time: Time) -> list[int]:
         """Return the shortest path from one of the sources to one of the targets before a time; [] when there is none."""
-        lengths = self._shortest_paths(targets, time)
-        start = min(sources, key=lengths.__getitem__)
-        if lengths[start] == math.inf:
+        remaining = self._shortest_paths(targets, time)
+        start = min(sources, key=remaining.__getitem__)
+        if remaining[start] == math.inf:
             return []
 
-        # Which vertices are on shortest paths from there, by the number of steps?
-        levels = [{start: self._following(start, lengths, time)}]
-        reached = {start}
-        while not reached.intersection(targets):
-            following = {vertex for choices in levels[-1].values() for vertex in choices} - reached
-            reached |= following
-            levels.append({vertex: self._following(vertex, lengths, time) for vertex in following})
+        # Among shortest paths one with the fewest steps, and of those the one that goes to the nearest vertex first.
+        before = {start: start}
+        queue = [start]
+        for vertex in queue:
+            if vertex in targets:
+                break
+            joined, lengths = self._neighbours(vertex, time)
+            following = joined[remaining[joined] + lengths == remaining[vertex]]
+            for other in following[np.lexsort((following, remaining[following]))].tolist():
+                if other not in before:
+                    before[other] = vertex
+                    queue.append(other)
+        return _path_back(before, vertex)
 
-        # Back from the targets: among paths with the fewest steps, the one that goes to the nearest vertex first.
-        rest = {target: [target] for target in levels[-1].keys() & set(targets)}
-        for level in levels[-2::-1]:
-            rest = {
-                vertex: [vertex, *rest[min(choices & rest.keys(), key=lambda other: (lengths[other], other))]]
-                for vertex, choices in level.items()
-                if choices & rest.keys()
-            }
-        return rest[start]
-
-    def _following(self, vertex: int, lengths: Sequence[float], time: Time) -> set[int]:
-        """Return the vertices that are next on shortest paths from a vertex, given the lengths of shortest paths."""
-        joined, sides = self._neighbours(vertex, time)
-        return {
-            other
-            for other, side in zip(joined.tolist(), sides.tolist(), strict=True)
-            if lengths[other] + side == lengths[vertex]
-        }
-
-    def _shortest_paths(self, targets: Sequence[int], time: Time) -> list[float]:
+    def _shortest_paths(self, targets: Sequence[int], time: Time) -> Array:
         """Return for each vertex the length of the shortest path before a time to the nearest target; infinite without one."""
-        return dijkstra(self._complex_at(time), indices=targets, min_only=True).tolist()
+        return dijkstra(self._complex_at(time), indices=targets, min_only=True)
 
     def path_in_class(
         self, source: int, target: int, time: Time, death: Time, wanted: int, bound: float = math.inf
@@ -298,7 +275,7 @@ class Homology:
         It is [] if none is found that is shorter than the bound. The search is A*: the lengths of shortest paths of any class
         bound what remains from below.
         """
-        remaining = self._shortest_paths([target], time)
+        remaining = self._shortest_paths([target], time).tolist()
         start = (source, 0)
         goal = (target, wanted)
         best = {start: (0.0, 0)}  # length and steps of the best path to a vertex in a class
@@ -308,7 +285,7 @@ class Homology:
         while queue and len(done) < SEARCH_LIMIT:
             _, _, state = heapq.heappop(queue)
             if state == goal:
-                return _path_back(before, goal)
+                return [vertex for vertex, _ in _path_back(before, goal)]
             if state in done:
                 continue
             done.add(state)
@@ -328,9 +305,8 @@ class Homology:
 
     def _corrected(self, walk: list[int], born: Time, death: Time) -> list[int]:
         """Add to a walk those around the older loops that it contains, so that nothing of it is left at death."""
-        edges = list(self._creator)
         while left := self.class_of(sides(walk), death):
-            x, y = edges[left.bit_length() - 1]
+            x, y = self._simplices[0][left.bit_length() - 1].tolist()
             other = self.path([x], [y], self.time(x, y))
             bridge = self.path(walk, other, born) or self.path(walk, other, death)
             walk = _spliced(walk, bridge, other)
@@ -372,17 +348,22 @@ class Homology:
         return path if self._path_length(path) < bound else []
 
 
+def as_edge(a: int, b: int) -> Edge:
+    """Return an edge with the smaller end first."""
+    return (a, b) if a < b else (b, a)
+
+
 def sides(walk: Sequence[int]) -> list[Edge]:
-    """Return the edges of a closed walk, the one that closes it last."""
-    return list(zip(walk, (*walk[1:], walk[0]), strict=True))
+    """Return the edges of a closed walk, the one that closes it last; a vertex that follows itself makes none."""
+    return [(a, b) for a, b in zip(walk, (*walk[1:], walk[0]), strict=True) if a != b]
 
 
-def _path_back(before: dict[tuple[int, int], tuple[int, int]], state: tuple[int, int]) -> list[int]:
-    """Return the vertices of the path that ends in a state."""
-    path = [state[0]]
-    while before[state] != state:
-        state = before[state]
-        path.append(state[0])
+def _path_back(before: dict[T, T], node: T) -> list[T]:
+    """Return the nodes of the path that ends in a node; its first one is before itself."""
+    path = [node]
+    while before[node] != node:
+        node = before[node]
+        path.append(node)
     return path[::-1]
 
 

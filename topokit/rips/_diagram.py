@@ -5,13 +5,12 @@ from __future__ import annotations
 from collections.abc import Sequence
 from dataclasses import dataclass
 from functools import cached_property
-from itertools import pairwise
 from typing import TYPE_CHECKING
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from .._validate import as_ids, positive
+from .._validate import as_ids
 from ._cloud import Cloud
 
 if TYPE_CHECKING:
@@ -56,45 +55,32 @@ class Diagram:
     def neighbours(self, i: int) -> NDArray[np.int64]:
         """Return the triangles next to the killer triangles of loop `i`: on each of four outer edges the one that comes first.
 
-        Returns
-        -------
-        (m, 3) int64, m <= 4
-            Outer edge and apex, the thick triangle's first. Triangles that come after the loop's death are left out.
+        Returns at most four rows of an outer edge and an apex, the thick triangle's first. Triangles that come after the loop's
+        death are left out.
         """
-        self._check_index(i)
-        if np.isinf(self.death[i]):
-            return np.empty((0, 3), dtype=np.int64)
-        vertices = self.killer_triangles[i].ravel()[[0, 1, 2, 5]]  # both ends of the killer edge, and the two apexes
-        radii = self._cloud.radii(vertices[:, None], slice(None)).reshape(4, -1)
-        death = radii[0, vertices[1]]
-
-        # When a triangle on an outer edge {a, b} enters, for each third vertex but those of the killer triangle itself.
-        outer = np.array(
-            [[0, 2, 1], [2, 1, 0], [0, 3, 1], [3, 1, 0]]
-        )  # edges of the killer triangles, and the third vertex
-        a, b, _ = outer.T
-        triangles = vertices[outer]
-        enters = np.maximum(np.maximum(radii[a], radii[b]), radii[a, triangles[:, 1], None])
-        rows = np.arange(4)
-        enters[rows[:, None], triangles] = np.inf
-
-        triangles[:, 2] = enters.argmin(axis=1)
-        return triangles[enters[rows, triangles[:, 2]] <= death]
+        death = self.death[i]
+        triangles = list[tuple[int, int, int]]()
+        for x, y, apex in self.killer_triangles[i].tolist() if death < np.inf else ():
+            for a, b, opposite in ((x, apex, y), (apex, y, x)):
+                # When does the triangle of the outer edge {a, b} and another vertex enter?
+                to_a, to_b = self._cloud.radii(np.array([[a], [b]]), slice(None)).reshape(2, -1)
+                enters = np.maximum(np.maximum(to_a, to_b), to_a[b])
+                enters[[a, b, opposite]] = np.inf
+                first = int(enters.argmin())
+                if enters[first] <= death:
+                    triangles.append((a, b, first))
+        return np.array(triangles, np.int64).reshape(-1, 3)
 
     def cycle(self, i: int) -> NDArray[np.int64]:
         """Return a closed walk around loop `i`, tight at its birth: the birth edge and the shortest path around it.
 
         It becomes a boundary with the killer edge, not before. The path is the shortest, along edges that precede the birth
-        edge, for which this is so: the shortest of all may go around an older loop as well, and would outlive the bar.
+        edge, for which this is so: the shortest of all may go around an older loop as well, and would outlive the bar. It runs
+        from one end of the birth edge to the other; the last vertex joins the first.
 
-        There are two exceptions: where very many older loops are alive, the search for that path gives up, and where what
-        dies are the two rings at the ends of a pipe, no connected walk at birth is in their class. Then walks around older
-        loops are added, there and back over a bridge of edges that precede the killer edge and, used twice, count as nothing.
-
-        Returns
-        -------
-        (length,) int64
-            Vertex ids, from one end of the birth edge to the other; the last joins the first.
+        Where very many older loops are alive, the search for that path gives up; and where the two rings at the ends of a pipe
+        die, no connected walk at birth is in their class. Then walks around older loops are added, there and back over a
+        bridge of edges that precede the killer edge and, used twice, count as nothing.
 
         Examples
         --------
@@ -102,29 +88,22 @@ class Diagram:
         >>> rips_persistence([[0, 0], [2, 0], [2, 2], [0, 2], [1, 1.9]]).cycle(0)
         array([1, 0, 3, 4, 2])
         """
-        self._check_index(i)
         birth_edge = tuple(self.birth_edge[i].tolist())
         killer_edge = None if np.isinf(self.death[i]) else tuple(self.killer_edge[i].tolist())
         return np.array(self._homology.representative(birth_edge, killer_edge), dtype=np.int64)
 
-    def tighten(self, cycle: ArrayLike, *, radius: float | None = None) -> NDArray[np.int64]:
-        """Shorten a closed walk without leaving its homology class.
+    def tighten(self, cycle: ArrayLike, radius: float) -> NDArray[np.int64]:
+        """Shorten a closed walk without leaving its homology class over Z/2 in the Rips complex of a radius.
 
         Stretches of a third of the walk are replaced by the shortest path between their ends that is homologous to them, until
-        none can be. The walk keeps its class over Z/2; it is not always the shortest of it. A boundary shrinks to a vertex.
+        none can be. It is not always the shortest walk of its class. A boundary shrinks to a vertex.
 
         Parameters
         ----------
         cycle : (length,) array_like of int
-            Vertex ids; the last joins the first.
-        radius : float, optional
-            The Rips complex has all edges up to the length 2 * radius. When the radius is not given, or is below half the
-            length of the walk's longest edge, that half length is used. It may be at most the diagram's `max_radius`.
-
-        Returns
-        -------
-        (new_length,) int64
-            Vertex ids, from the first old vertex that is still there.
+            Vertex ids; the last joins the first. The answer begins with the first of them that is still there.
+        radius : float
+            At most the diagram's `max_radius`. Half the length of the walk's longest edge is used where that is more.
 
         Examples
         --------
@@ -132,27 +111,17 @@ class Diagram:
 
         >>> from topokit import rips_persistence
         >>> diagram = rips_persistence([[0, 0], [2, 0], [2, 2], [0, 2], [1, 2.5]])
-        >>> diagram.tighten([0, 1, 2, 4, 3])
-        array([0, 1, 2, 4, 3])
         >>> diagram.tighten([0, 1, 2, 4, 3], radius=1.2)
         array([0, 1, 2, 3])
         """
-        walk = _as_walk(cycle, self.n_points)
-        homology = self._homology
+        from ._cycles import sides
 
-        # The complex just after the walk's latest edge, or at the radius.
-        key, low, high = max(homology.time(a, b) for a, b in pairwise([*walk, walk[0]]))
-        time = (key, low, high + 1)
-        reached = float(self._cloud.radii(low, np.array(high)))
-        if radius is not None:
-            given = positive(radius, "radius", infinite=True)
-            time = max(time, (self._cloud.key_of(given), self.n_points, self.n_points))
-            reached = max(reached, given)
-        if reached > self.max_radius:
-            raise ValueError(f"the diagram ends at max_radius {self.max_radius:g}, and radius {reached:g} is asked for")
+        walk = [a for a, _ in sides(as_ids(cycle, "cycle", self.n_points).tolist())]
+        radius = max(radius, *(self._homology.side(a, b) / 2 for a, b in sides(walk)))
+        if radius > self.max_radius:
+            raise ValueError(f"the diagram ends at max_radius {self.max_radius:g}, and radius {radius:g} is asked for")
 
-        # Begin at the first old vertex that is still there.
-        tight = homology.tightened(walk, time)
+        tight = self._homology.tightened(walk, (self._cloud.key_of(radius), self.n_points, self.n_points))
         first = next((tight.index(vertex) for vertex in walk if vertex in tight), 0)
         return np.array([*tight[first:], *tight[:first]], dtype=np.int64)
 
@@ -172,11 +141,6 @@ class Diagram:
         (len(walks), 2) int64
             A killer edge, or the walk's own latest edge; -1 where `max_radius` keeps it from ending.
 
-        Raises
-        ------
-        ValueError
-            When a walk has no edge.
-
         Examples
         --------
         >>> from topokit import rips_persistence
@@ -185,9 +149,7 @@ class Diagram:
         (array([[1, 4],
                [2, 3]]), array([[1, 4]]))
         """
-        ids = [_as_walk(walk, self.n_points, f"walks[{number}]") for number, walk in enumerate(walks)]
-        if any(len(walk) == 1 for walk in ids):
-            raise ValueError("a walk must have an edge, not a single vertex")
+        ids = [as_ids(walk, f"walks[{number}]", self.n_points).tolist() for number, walk in enumerate(walks)]
         edges = [edge or (-1, -1) for edge in self._homology.killers_of(ids)]
         return np.array(edges, dtype=np.int64).reshape(-1, 2)
 
@@ -196,18 +158,3 @@ class Diagram:
         from ._cycles import Homology  # SciPy takes a while to import
 
         return Homology(self._cloud, *self._simplices)
-
-    def _check_index(self, i: int) -> None:
-        if not -len(self) <= i < len(self):
-            raise IndexError(f"no loop {i}: the diagram has {len(self)}")
-
-
-def _as_walk(cycle: ArrayLike, n_points: int, name: str = "cycle") -> list[int]:
-    """Return the vertex ids of a closed walk, repeated ones next to each other left out."""
-    if np.ndim(cycle) != 1:
-        raise TypeError(f"{name} must be a sequence of vertex ids, not {np.asarray(cycle).tolist()!s:.40}")
-    if not np.size(cycle):
-        raise ValueError(f"{name} is empty: a closed walk needs vertex ids")
-    ids = as_ids(cycle, name, n_points)
-    changes = ids != np.roll(ids, -1)
-    return ids[changes].tolist() if changes.any() else [int(ids[0])]

@@ -3,8 +3,7 @@
 from __future__ import annotations
 
 import sys
-import threading
-from collections.abc import Iterable, Iterator, Sequence
+from collections.abc import Iterator, Sequence
 from concurrent.futures import ThreadPoolExecutor
 from functools import cache
 from importlib.util import find_spec
@@ -43,12 +42,10 @@ def rips_persistence(
 
     Raises
     ------
-    ValueError
-        When the points or the matrix are not valid, as with nan or an asymmetric matrix.
     MemoryError
-        When the tables would take more than 4.3 GB: a bit for each pair of points (185,000 points), and for more than three
-        dimensions or a matrix of distances 8 bytes more (23,000 points). Take a subset of the points then
-        (`farthest_point_sample`); births and deaths change by at most its covering radius.
+        When the tables would take more than 4.3 GB: from 185,000 points on, and from 23,000 for more than three dimensions or a
+        matrix of distances. Take a subset then (`farthest_point_sample`); births and deaths change by at most its covering
+        radius.
 
     Examples
     --------
@@ -85,11 +82,6 @@ def rips_persistence_many(
     max_radius, min_lifetime : float
         As in `rips_persistence`.
 
-    Raises
-    ------
-    TypeError, ValueError
-        When `n_jobs` is not a whole number of 1 or more, or a cloud is not valid.
-
     Examples
     --------
     >>> square = np.array([[0, 0], [1, 0], [1, 1], [0, 1]])
@@ -98,16 +90,13 @@ def rips_persistence_many(
     """
     checked = [Cloud.of_points(points) for points in as_sequence(clouds, "clouds")]
     workers = n_cores() if n_jobs is None else whole(n_jobs, "n_jobs", 1)
-    diagrams = _diagrams(checked, workers, max_radius, min_lifetime)
-    return list(_counted(diagrams, len(checked)) if progress else diagrams)
-
-
-def _counted(diagrams: Iterable[Diagram], total: int) -> Iterator[Diagram]:
-    """Yield diagrams, and write how many there were to stderr."""
-    for number, diagram in enumerate(diagrams, 1):
-        print(f"\rpersistence: {number} of {total} clouds", end="", file=sys.stderr, flush=True)
-        yield diagram
-    print(file=sys.stderr)
+    diagrams = list[Diagram]()
+    for diagram in _diagrams(checked, workers, max_radius, min_lifetime):
+        diagrams.append(diagram)
+        if progress:
+            end = "" if len(diagrams) < len(checked) else "\n"
+            print(f"\rpersistence: {len(diagrams)} of {len(checked)} clouds", end=end, file=sys.stderr, flush=True)
+    return diagrams
 
 
 def _diagrams(clouds: Sequence[Cloud], workers: int, max_radius: float, min_lifetime: float) -> Iterator[Diagram]:
@@ -177,15 +166,13 @@ class _Work:
     """Seconds that the clouds of this process take, or would take, in plain Python."""
 
     seconds = 0.0
-    lock = threading.Lock()
 
 
 def _engine_pays(clouds: Sequence[Cloud]) -> bool:
     """Return True if numba is there and the clouds so far are work for more than two seconds in plain Python."""
-    with _Work.lock:
-        for n in map(len, clouds):
-            _Work.seconds += n * n / 2 * (0.6e-6 + 0.4e-9 * n)
-        return _Work.seconds > 2.0 and _has_numba()
+    for n in map(len, clouds):
+        _Work.seconds += n * n / 2 * (0.6e-6 + 0.4e-9 * n)
+    return _Work.seconds > 2.0 and _has_numba()
 
 
 @cache

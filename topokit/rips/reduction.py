@@ -14,12 +14,12 @@ import math
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
 from itertools import combinations
-from numbers import Integral
 
 from numpy.typing import ArrayLike
 
-from .._validate import positive
-from ._cloud import Cloud
+from .._validate import positive, whole
+from ._cloud import Cloud, check_memory
+from .pairing import edges_in_order
 
 __all__ = ["MAX_SIMPLICES", "Pair", "Reduction", "Simplex", "filtration", "persistence", "reduce"]
 
@@ -120,7 +120,7 @@ def persistence(
     >>> [component.death for component in persistence(square, degree=0)]
     [inf, 1.0, 1.0, 1.0]
     """
-    _check_degree(degree, "degree")
+    whole(degree, "degree")
     reduction = reduce(filtration(points, degree + 1, max_radius=max_radius, metric=metric))
     bars = [pair for pair in reduction.pairs(degree) if pair.death > pair.birth]
     return sorted(bars, key=lambda pair: (-pair.lifetime, pair.birth, pair.birth_simplex))
@@ -134,29 +134,23 @@ def filtration(
     Vertices come first, then edges by (length, smaller index, larger index). Each brings at once, by dimension, then by
     vertices, what it spans with the cliques of its *lune*, the vertices already joined to both its ends.
 
-    Parameters
-    ----------
-    points : (n, d) array_like
-        As in `persistence`.
-    dimension : int
-        The dimension of the largest simplices.
-    max_radius : float
-    metric : {"euclidean", "precomputed"}
-
     Examples
     --------
     >>> [simplex.vertices for simplex in filtration([[0.0], [1.0], [3.0]], 2)]
     [(0,), (1,), (2,), (0, 1), (1, 2), (0, 2), (0, 1, 2)]
     """
-    _check_degree(dimension, "dimension")
+    whole(dimension, "dimension")
+    cutoff = positive(max_radius, "max_radius", infinite=True)
     cloud = Cloud.of(points, metric)
     n = len(cloud)
-    edges = _edges(cloud, positive(max_radius, "max_radius", infinite=True))
+    _check_size(n, n, dimension)
+    check_memory(n, is_matrix=True)
     simplices = [Simplex((i,), 0.0, None) for i in range(n)]
-    if dimension == 0:
-        return simplices
     joined: list[set[int]] = [set() for _ in range(n)]
-    for radius, i, j in edges:
+    edges, _, _ = edges_in_order(cloud, cloud.key_of(cutoff))
+    for (i, j), radius in zip(edges.tolist(), cloud.radii(*edges.T).tolist(), strict=True):
+        if radius > cutoff:
+            break
         lune = sorted(joined[i] & joined[j])
         cliques: list[Vertices] = [()]
         for _ in range(dimension):
@@ -176,12 +170,7 @@ def filtration(
 
 
 def reduce(simplices: Sequence[Simplex]) -> Reduction:
-    """Reduce the boundary matrix of a filtration over Z/2, column by column from the left.
-
-    Parameters
-    ----------
-    simplices : sequence of Simplex
-        Every simplex after its facets, as `filtration` gives them.
+    """Reduce the boundary matrix of a filtration, every simplex after its facets, over Z/2, column by column from the left.
 
     Examples
     --------
@@ -216,28 +205,9 @@ def reduce(simplices: Sequence[Simplex]) -> Reduction:
     return Reduction(list(simplices), columns, chains, killer)
 
 
-def _edges(cloud: Cloud, max_radius: float) -> list[tuple[float, int, int]]:
-    """Return the edges up to a radius as (half length, i, j), i < j, in the total order."""
-    n = len(cloud)
-    edges: list[tuple[float, int, int, float]] = []
-    for i in range(n):
-        keys = cloud.keys(i, slice(None)).tolist()
-        radii = cloud.radii(i, slice(None)).tolist()
-        edges += [(keys[j], i, j, radii[j]) for j in range(i + 1, n) if radii[j] <= max_radius]
-        _check_size(n + len(edges), n, 1)
-    return [(radius, i, j) for _, i, j, radius in sorted(edges)]
-
-
 def _check_size(count: int, n: int, dimension: int) -> None:
     if count > MAX_SIMPLICES:
         raise ValueError(
             f"the Rips complex of these {n} points has more than {MAX_SIMPLICES} simplices up to dimension {dimension}: lower "
             "max_radius or the degree, take a subset (topokit.farthest_point_sample), or use topokit.rips_persistence"
         )
-
-
-def _check_degree(value: int, name: str) -> None:
-    if not isinstance(value, Integral):
-        raise TypeError(f"{name} must be an integer, not {value!r}")
-    if value < 0:
-        raise ValueError(f"{name} must be zero or more, not {value}")

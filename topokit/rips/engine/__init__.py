@@ -18,7 +18,6 @@ Source: Koyama, Memoli, Robins, Turner 2023 (the reduced Vietoris-Rips filtratio
 
 import hashlib
 import os
-import sys
 from pathlib import Path
 from typing import Any
 
@@ -28,12 +27,7 @@ def _cache_folder() -> str:
 
     Numba compares one source file with its cache, and the engine has several; so the folder is named by all of `rips`.
     """
-    if sys.platform == "darwin":
-        caches = Path.home() / "Library" / "Caches"
-    elif sys.platform == "win32":
-        caches = Path(os.environ.get("LOCALAPPDATA", Path.home()))
-    else:
-        caches = Path(os.environ.get("XDG_CACHE_HOME", Path.home() / ".cache"))
+    caches = Path(os.environ.get("XDG_CACHE_HOME", Path.home() / ".cache"))
     sources = sorted(Path(__file__).parents[1].rglob("*.py"))
     digest = hashlib.sha256(b"".join(source.read_bytes() for source in sources)).hexdigest()
     return str(caches / "topokit" / digest[:12])

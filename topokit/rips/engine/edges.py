@@ -52,14 +52,8 @@ def precedes(length, a, b, other_length, x, y):
 
 
 @inlined
-def edge_key(x, y):
-    """Return the key of the edge {x, y}, with vertex 0 for its middle: 21 bits a vertex."""
-    return (y << 21) | x
-
-
-@inlined
 def ends_of(key):
-    """Return both ends of an edge, and a vertex near its middle; negative when one is so near that the lune is a cone."""
+    """Return both ends of an edge, and a vertex near its middle: 21 bits each. The middle is vertex 0 until it is sought."""
     return key & 0x1FFFFF, (key >> 21) & 0x1FFFFF, key >> 42
 
 
@@ -105,7 +99,7 @@ def list_edges(data, tree, shortest, longest, keys, lengths):
                 for y in range(max(first, x + 1), last):
                     # Every edge is written, and its place is kept or not: a branch here could not be foreseen.
                     length = edge_length(data, x, y)
-                    keys[size] = edge_key(x, y)
+                    keys[size] = (y << 21) | x
                     lengths[size] = length
                     size += np.uint64((shortest <= length) & (length < longest))
     return np.int64(size)

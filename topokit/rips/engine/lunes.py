@@ -72,27 +72,6 @@ def is_cone(rows, x, y, z):
     return outside == 0
 
 
-@inlined
-def is_near_middle(points, x, y, z, length):
-    """Return True if z is nearer than the length of {x, y} to every place where a point of the lune can be.
-
-    With z at distance b from the line through x and y, and a from their midpoint along it, the farthest such place is on the
-    lune's rim: a^2 + (sqrt(3)/2 L + b)^2 < L^2.
-    """
-    if length == 0.0 or z in (x, y):
-        return False
-    along = 0.0
-    apart = 0.0
-    for k in range(3):
-        # In this order it is exact for what is very near.
-        step = 0.5 * ((points[z, k] - points[x, k]) + (points[z, k] - points[y, k]))
-        along += step * (points[y, k] - points[x, k])
-        apart += step * step
-    along = along * along / length
-    across = np.sqrt(max(apart - along, 0.0)) + np.sqrt(0.75 * length)
-    return along <= 0.25 * length and along + across * across < length * (1.0 - 1e-9)
-
-
 @compiled
 def new_grid(tree):
     """Return a grid of up to eight cells for each point."""
@@ -114,8 +93,8 @@ def new_grid(tree):
 
 
 @compiled
-def find_middles(tree, grid, keys, lengths, m, decide):
-    """Put a vertex near the middle of each of m edges into its key; with `decide` -1 where that shows the lune to be a cone."""
+def find_middles(tree, grid, keys, m):
+    """Put a vertex near the middle of each of m edges into its key."""
     points = tree.points
     vertex = grid.vertex
     sides = grid.sides
@@ -135,8 +114,6 @@ def find_middles(tree, grid, keys, lengths, m, decide):
                 rest //= sides[k]
             z = nearby_point(tree, place)
             vertex[cell] = z + 1
-        if decide and is_near_middle(points, x, y, z, lengths[e]):
-            z = -1
         keys[e] |= np.int64(z) << 42
 
 

@@ -2,8 +2,6 @@
 
 from __future__ import annotations
 
-import math
-
 import numpy as np
 from numba import njit
 
@@ -12,9 +10,8 @@ from . import compiled
 from .edges import are_points, edge_length, edges_between, ends_of, first_window, new_edges, next_window
 from .lunes import count_components, find_middles, has_bit, is_cone, is_connected, join, new_grid, new_lune, write_lune
 from .relations import add_edge, add_loop, kill_loops, new_graph, new_loops
-from .stop import greatest_length, last_of_matrix, last_of_points
+from .stop import greatest_length, last_empty
 from .tree import build_tree, first_numbers, tree_of_matrix
-
 
 root_of = compiled(root_of_plain)
 
@@ -29,7 +26,7 @@ def next_change(rows, keys, lengths, e, m, longest, alive, bits, left, stop):
     while e < m and z == -2 and stop[0] == 0 and lengths[e] <= longest:
         # A cone changes nothing, nor does a connected lune; while no loop is alive, none can be killed either.
         x, y, middle = ends_of(keys[e])
-        if middle >= 0 and not is_cone(rows, x, y, middle):
+        if not is_cone(rows, x, y, middle):
             z = write_lune(rows, x, y, bits)
             if has_bit(bits, middle):
                 z = middle
@@ -38,16 +35,6 @@ def next_change(rows, keys, lengths, e, m, longest, alive, bits, left, stop):
         join(rows, x, y)
         e += 1
     return e, z
-
-
-@compiled
-def scale_of(points):
-    """Return the power of two that brings all coordinates to at most 1, which costs no digit."""
-    largest = 0.0
-    for i in range(len(points)):
-        for k in range(3):
-            largest = max(largest, abs(points[i, k]))
-    return math.ldexp(1.0, -math.frexp(largest)[1])
 
 
 @compiled
@@ -73,12 +60,10 @@ def pair_edges(data, max_length, stop):
     something other than 0 into `stop` (1,) to end the run; then the result is incomplete.
     """
     n = len(data)
-    scale = 1.0
     if are_points(data):
-        scale = scale_of(data)
-        max_length *= scale * scale
-        tree = build_tree(data, scale)
+        tree = build_tree(data)
         data = tree.points
+        max_length *= tree.scale * tree.scale
     else:
         tree = tree_of_matrix(n)
     label = tree.label
@@ -104,10 +89,9 @@ def pair_edges(data, max_length, stop):
     done = False
     while not done:
         edges, m, longest = edges_between(data, tree, shortest, longest, edges)
-        # Rows of up to 3 words are read as quickly as a middle is looked up; longer ones than 32 less quickly than places are
-        # compared.
+        # Rows of up to 3 words are read as quickly as a middle is looked up.
         if are_points(data) and words > 3:
-            find_middles(tree, grid, edges.keys, edges.lengths, m, words > 32)
+            find_middles(tree, grid, edges.keys, m)
         e = np.int64(0)
         while e < m:
             bound = min(max_length, last) if alive == 0 and last >= 0 else max_length
@@ -135,8 +119,7 @@ def pair_edges(data, max_length, stop):
 
             # Once all is one component and no loop is alive, compute up to which length edges can matter.
             if alive == 0 and n_components == 1 and last < 0:
-                length = edges.lengths[e - 1]
-                last = last_of_points(tree, rows, length) if are_points(data) else last_of_matrix(data, rows, length)
+                last = last_empty(data, tree, rows, edges.lengths[e - 1])
         if stop[0] != 0 or longest > greatest or (alive == 0 and 0 <= last < longest):
             done = True
         start = shortest
@@ -146,6 +129,6 @@ def pair_edges(data, max_length, stop):
     birth = np.empty(born)
     death = np.empty(born)
     for loop in range(born):
-        birth[loop] = take_edge(data, label, loops.created[loop]) / (2.0 * scale)
-        death[loop] = take_edge(data, label, loops.killed[loop]) / (2.0 * scale)
+        birth[loop] = take_edge(data, label, loops.created[loop]) / (2.0 * tree.scale)
+        death[loop] = take_edge(data, label, loops.killed[loop]) / (2.0 * tree.scale)
     return loops.created[:born], loops.killed[:born], birth, death

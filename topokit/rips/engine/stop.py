@@ -11,53 +11,27 @@ import numpy as np
 
 from . import compiled, inlined
 from .edges import are_points, edge_length
-from .tree import between_boxes, middle_of_boxes, nearby_point, place_to_box
+from .tree import between_boxes, middle_of_boxes, nearby_point
 
 
 @compiled
 def greatest_length(data, tree):
-    """Return a length such that one vertex is joined to all others by no longer edges: later edges change nothing."""
-    n = len(data)
-    if not are_points(data):
-        least = np.inf
-        for x in range(n):
-            greatest = 0.0
-            for y in range(n):
-                greatest = max(greatest, data[x, y])
-            least = min(least, greatest)
-        return least
-    place = np.empty(3)
-    middle_of_boxes(tree.low, tree.high, 0, 0, place)
-    z = nearby_point(tree, place)
+    """Return a length that no edge exceeds."""
+    if are_points(data):
+        return between_boxes(tree.low, tree.high, 0, 0)[1]
     greatest = 0.0
-    for y in range(n):
-        greatest = max(greatest, edge_length(data, z, y))
+    for x in range(len(data)):
+        for y in range(x):
+            greatest = max(greatest, data[x, y])
     return greatest
 
 
 @compiled
-def last_of_matrix(data, rows, shortest):
+def last_empty(data, tree, rows, shortest):
     """Return the greatest length of an edge with an empty lune among those not shorter than `shortest`, 0 for none.
 
-    `rows` has all shorter edges.
+    `rows` has all shorter edges. Points are searched by pairs of boxes; all vertices of a matrix are in one.
     """
-    latest = 0.0
-    for x in range(len(data)):
-        for y in range(x + 1, len(data)):
-            length = data[x, y]
-            if length >= max(shortest, latest) and not meet(rows, x, y):
-                z = 0
-                while z < len(data) and (data[x, z] >= length or data[y, z] >= length):
-                    z += 1
-                if z == len(data):
-                    latest = length
-    return latest
-
-
-@compiled
-def last_of_points(tree, rows, shortest):
-    """Return that length for points, by pairs of boxes."""
-    points = tree.points
     start = tree.start
     end = tree.end
     low = tree.low
@@ -66,7 +40,6 @@ def last_of_points(tree, rows, shortest):
     box_pairs = np.empty((272, 3), np.int64)  # two boxes, and a point that may be between them
     for k in range(3):
         box_pairs[0, k] = 0
-    nodes = np.empty(256, np.int64)
     place = np.empty(3)
     top = 0
     while top >= 0:
@@ -77,12 +50,12 @@ def last_of_points(tree, rows, shortest):
         shortest = max(shortest, latest)
 
         # Is a point in the lunes of all edges between the boxes: the one of the larger boxes, or one near the middle?
-        if between_boxes(low, high, a, b)[1] < shortest or is_between(points, low, high, z, a, b):
+        if are_points(data) and (between_boxes(low, high, a, b)[1] < shortest or is_between(data, low, high, z, a, b)):
             continue
         if a != b:
             middle_of_boxes(low, high, a, b, place)
             z = nearby_point(tree, place)
-            if is_between(points, low, high, z, a, b):
+            if is_between(data, low, high, z, a, b):
                 continue
         if a < tree.first_leaf:
             for i in range(1, 3):
@@ -97,10 +70,10 @@ def last_of_points(tree, rows, shortest):
         # Two leaves: edge by edge. The point z, what is joined to both ends, and then all points are looked at.
         for x in range(start[a], end[a]):
             for y in range(x + 1 if a == b else start[b], end[b]):
-                length = edge_length(points, x, y)
-                if length < shortest or length <= latest or is_strictly_in_lune(points, z, x, y, length):
+                length = edge_length(data, x, y)
+                if length < shortest or length <= latest or is_strictly_in_lune(data, z, x, y, length):
                     continue
-                if not meet(rows, x, y) and is_empty_lune(points, start, end, low, high, x, y, length, nodes, place):
+                if not meet(rows, x, y) and is_empty_lune(data, x, y, length):
                     latest = length
     return latest
 
@@ -115,38 +88,18 @@ def meet(rows, x, y):
 
 
 @inlined
-def is_strictly_in_lune(points, z, x, y, length):
+def is_strictly_in_lune(data, z, x, y, length):
     """Return True if z is nearer to both ends of {x, y} than its length."""
-    return z != x and z != y and edge_length(points, x, z) < length and edge_length(points, y, z) < length
+    return z != x and z != y and edge_length(data, x, z) < length and edge_length(data, y, z) < length
 
 
 @compiled
-def is_empty_lune(points, start, end, low, high, x, y, length, nodes, place):
-    """Return True if no point is in the lune of {x, y}; boxes nearer to its midpoint are looked at first."""
-    for k in range(3):
-        place[k] = 0.5 * (points[x, k] + points[y, k])
-    # A lune lies within sqrt(3)/2 of the length. Coordinates are at most 1, so the error of the midpoint is below 4e-16.
-    reach = (0.86605 * np.sqrt(length) + 4e-16) ** 2
-    nodes[0] = 0
-    top = 0
-    while top >= 0:
-        node = nodes[top]
-        top -= 1
-        if place_to_box(low, high, place, node) > reach:
-            continue
-        if 2 * node + 2 < len(start):
-            nearer = 2 * node + 1
-            farther = 2 * node + 2
-            if place_to_box(low, high, place, farther) < place_to_box(low, high, place, nearer):
-                nearer, farther = farther, nearer
-            nodes[top + 1] = farther
-            nodes[top + 2] = nearer
-            top += 2
-            continue
-        for z in range(start[node], end[node]):
-            if is_strictly_in_lune(points, z, x, y, length):
-                return False
-    return True
+def is_empty_lune(data, x, y, length):
+    """Return True if no vertex is in the lune of {x, y}."""
+    z = 0
+    while z < len(data) and not is_strictly_in_lune(data, z, x, y, length):
+        z += 1
+    return z == len(data)
 
 
 @inlined

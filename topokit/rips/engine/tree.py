@@ -7,13 +7,14 @@ The points of a node are `points[start[node]:end[node]]`, in the box from `low` 
 
 from __future__ import annotations
 
+import math
 from collections import namedtuple
 
 import numpy as np
 
 from . import compiled, inlined
 
-Tree = namedtuple("Tree", "points label start end low high first_leaf")
+Tree = namedtuple("Tree", "points label start end low high first_leaf scale")
 
 
 @compiled
@@ -69,8 +70,11 @@ def first_numbers(n):
 
 
 @compiled
-def build_tree(points, scale):
-    """Build the tree of an (n, 3) cloud, n >= 1, whose coordinates are multiplied by a scale."""
+def build_tree(points):
+    """Build the tree of an (n, 3) cloud, n >= 1, whose coordinates are multiplied by `scale`.
+
+    It is the power of two that brings all to at most 1, which costs no digit.
+    """
     n = len(points)
     depth = 0
     while n > 8 << depth:
@@ -83,6 +87,11 @@ def build_tree(points, scale):
     low = np.empty((n_nodes, 3))
     high = np.empty((n_nodes, 3))
 
+    largest = 0.0
+    for i in range(n):
+        for k in range(3):
+            largest = max(largest, abs(points[i, k]))
+    scale = math.ldexp(1.0, -math.frexp(largest)[1])
     scaled = np.empty((n, 3))
     for i in range(n):
         for k in range(3):
@@ -105,7 +114,7 @@ def build_tree(points, scale):
     for i in range(n):
         for k in range(3):
             ordered[i, k] = scaled[order[i], k]
-    return Tree(ordered, order, start, end, low, high, first_leaf)
+    return Tree(ordered, order, start, end, low, high, first_leaf, scale)
 
 
 @compiled
@@ -118,7 +127,7 @@ def tree_of_matrix(n):
     end = np.empty(1, np.int64)
     start[0] = 0
     end[0] = n
-    return Tree(nothing, first_numbers(n), start, end, nothing, nothing, 0)
+    return Tree(nothing, first_numbers(n), start, end, nothing, nothing, 0, 1.0)
 
 
 # Distances to boxes ---------------------------------------------------------------------------------------------------
