@@ -68,12 +68,6 @@ def test_a_matrix_of_distances_that_is_read_as_points_is_suspected():
         tk.rips_persistence(distances)
 
 
-def test_walks_are_a_list_of_lists():
-    diagram = tk.rips_persistence(RING)
-    with pytest.raises(TypeError, match=r"walks\[0\]"):
-        diagram.killers_of([0, 1, 2, 3])
-
-
 def test_a_score_counts_what_a_generator_yields():
     overlap = Overlap(np.array([0]), np.array([7]), np.array([[0.9]]))
     assert score(overlap for _ in range(3)).objects == 3

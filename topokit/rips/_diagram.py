@@ -116,8 +116,9 @@ class Diagram:
         """
         from ._cycles import sides
 
-        walk = [a for a, _ in sides(as_ids(cycle, "cycle", self.n_points).tolist())]
-        radius = max(radius, *(self._homology.side(a, b) / 2 for a, b in sides(walk)))
+        ids = as_ids(cycle, "cycle", self.n_points).tolist()
+        walk = [a for a, _ in sides(ids)] or ids[:1]
+        radius = max([radius, *(self._homology.side(a, b) / 2 for a, b in sides(walk))])
         if radius > self.max_radius:
             raise ValueError(f"the diagram ends at max_radius {self.max_radius:g}, and radius {radius:g} is asked for")
 
