@@ -112,8 +112,8 @@ def _diagrams(clouds: Sequence[Cloud], workers: int, max_radius: float, min_life
             check_memory(len(cloud), is_matrix=cloud.is_matrix)
             from .engine.pairing import pair_edges  # numba is imported here
 
-            return _diagram(cloud, *pair_edges(cloud.data, key, stop), cutoff, shortest)
-        return _diagram(cloud, *pairing.pair_edges(cloud, key), cutoff, shortest)
+            return _diagram(cloud, pair_edges(cloud.data, key, stop), cutoff, shortest)
+        return _diagram(cloud, pairing.pair_edges(cloud, key), cutoff, shortest)
 
     # Long work of the engine is done by other threads, so that Ctrl-C, which the main thread alone hears, can end it.
     is_long = sum(len(cloud) ** 2 for cloud in clouds) > 5e5
@@ -130,10 +130,9 @@ def _diagrams(clouds: Sequence[Cloud], workers: int, max_radius: float, min_life
             stop[0] = 1
 
 
-def _diagram(
-    cloud: Cloud, created: Ids, killed: Ids, birth: Array, death: Array, cutoff: float, shortest: float
-) -> Diagram:
+def _diagram(cloud: Cloud, loops: tuple[Ids, Ids, Array, Array], cutoff: float, shortest: float) -> Diagram:
     """Return the diagram of the loops that live long enough, longest lifetime first; ties keep the order of birth."""
+    created, killed, birth, death = loops
     if cutoff < np.inf:  # its key was rounded up
         late = death > cutoff
         death[late] = np.inf

@@ -134,6 +134,14 @@ def filtration(
     Vertices come first, then edges by (length, smaller index, larger index). Each brings at once, by dimension, then by
     vertices, what it spans with the cliques of its *lune*, the vertices already joined to both its ends.
 
+    Parameters
+    ----------
+    points : (n, d) array_like
+    dimension : int
+        The dimension of the largest simplices.
+    max_radius, metric
+        As in `persistence`.
+
     Examples
     --------
     >>> [simplex.vertices for simplex in filtration([[0.0], [1.0], [3.0]], 2)]
