@@ -113,7 +113,7 @@ def _parser() -> ArgumentParser:
     )
     add("--seed", type=int, metavar="N", help="seed of the dataset (default: 0)")
     add("--config", type=Path, metavar="FILE", help="a DatasetConfig (.json); missing fields have their defaults")
-    add("--workers", type=int, metavar="N", help="number of processes (default: one for each core)")
+    add("--workers", type=int, metavar="N", help="number of processes or threads (default: one for each core)")
 
     add = command(train)
     add("config", type=Path, metavar="CONFIG", help="configuration of model, training and dataset (.json)")

@@ -88,7 +88,8 @@ def generate_dataset(
     # Make the episodes that are missing. An error that is no fault of an episode stops the whole command.
     missing = Dataset(folder).missing([*range(episodes)])
     work = partial(_make_file, folder)
-    outcomes = in_fresh_processes(work, missing, n_workers=n_workers or n_cores(), time_limit=time_limit, tries=3)
+    workers = n_cores() if n_workers is None else n_workers
+    outcomes = in_fresh_processes(work, missing, n_workers=workers, time_limit=time_limit, tries=3)
     try:
         for number, outcome in tqdm(outcomes, total=len(missing), unit="episode", disable=not progress):
             if isinstance(outcome, ProcessError):
