@@ -213,17 +213,15 @@ class Ridge(Hold):
         middle = kept["grippers"].mean(dim=1)  # (C, 3)
 
         # The same for all slots.
-        grippers = torch.cat(
-            [(kept["grippers"] - middle[:, None]).flatten(1) / scale, self.normalise(middle)], dim=1
-        )  # (C, 9)
-        moves = (actions - kept["grippers"][:, None]).flatten(1) / scale
-        plan = torch.cat([moves, held.to(moves)], dim=1)  # (C, 7 horizon)
-        shared = torch.cat([torch.ones_like(plan[:, :1]), grippers, plan], dim=1)
+        constant = torch.ones_like(middle[:, :1])
+        apart = (kept["grippers"] - middle[:, None]).flatten(1) / scale  # (C, 6)
+        moves = (actions - kept["grippers"][:, None]).flatten(1) / scale  # (C, 6 horizon)
+        shared = torch.cat([constant, apart, self.normalise(middle), moves, held.to(moves)], dim=1)
         shared = shared[:, None].expand(-1, self.shape.slots, -1)
 
         # Of each slot.
         corners = ((kept["corners"] - middle[:, None, None]) / scale).flatten(2)
         values = torch.stack([kept["birth"], kept["death"]], dim=-1) / value
         flags = torch.stack([kept["known"].to(values), (kept["presence"] > 0).to(values)], dim=-1)
-        slot = torch.eye(self.shape.slots).to(plan).expand(len(plan), -1, -1)
+        slot = torch.eye(self.shape.slots).expand(len(middle), -1, -1)
         return torch.cat([shared, corners, kept["neighbour_values"] / value, values, flags, slot], dim=-1)

@@ -194,19 +194,17 @@ class MotionPredictor(Predictor):
         plans = np.asarray(actions, np.float32).reshape(-1, *np.shape(actions)[-3:])
 
         # Move the corners alone, or the whole cloud when loops are read off it.
-        if len(exact):
-            clouds, errors = self.move(plans, held)
-            places = clouds[:, :, ids]  # (C, 60, S, 8, 3)
-            scales = errors[:, :, ids]  # (C, 60, S, 8)
-        else:
+        points = None
+        if not len(exact):
             points = self._history()[-1][0].data[ids.ravel()]
-            places, scales = self.move(plans, held, points)
-            places = places.reshape(len(plans), 60, -1, 8, 3)
-            scales = scales.reshape(len(plans), 60, -1, 8)
-        states = self._states_of(self.loops, places, scales, _shifts(self.loops, places), np.arange(1, 61)[:, None])
-        if many:
-            return states
-        return self._read_loops(states[0], exact, clouds[0], errors[0]) if len(exact) else states[0]
+            ids = np.arange(ids.size).reshape(ids.shape)
+        places, scales = self.move(plans, held, points)
+        corners = places[:, :, ids]  # (C, 60, S, 8, 3)
+        ahead = np.arange(1, 61)[:, None]
+        states = self._states_of(self.loops, corners, scales[:, :, ids], _shifts(self.loops, corners), ahead)
+        if len(exact):
+            return self._read_loops(states[0], exact, places[0], scales[0])
+        return states if many else states[0]
 
     @torch.inference_mode()
     def move(
@@ -261,16 +259,16 @@ class MotionPredictor(Predictor):
         return self._codes[key]
 
     def _states_of(
-        self, loops: Sequence[Loop], places: Array, scales: Array, shifts: ArrayLike, ahead: ArrayLike
+        self, loops: Sequence[Loop], corners: Array, scales: Array, shifts: ArrayLike, ahead: ArrayLike
     ) -> StateTensors:
-        """Return the states (..., S) of loops, so many frames ahead, whose corners (..., S, 8, 3) have scales of errors."""
-        birth = np.broadcast_to(np.array([loop.birth for loop in loops], np.float32), places.shape[:-2])
-        death = np.linalg.norm(places[..., 0, :] - places[..., 1, :], axis=-1) / 2
+        """Return the states (..., S) of loops, so many frames ahead, from their corners (..., S, 8, 3) and scales of errors."""
+        birth = np.broadcast_to(np.array([loop.birth for loop in loops], np.float32), corners.shape[:-2])
+        death = np.linalg.norm(corners[..., 0, :] - corners[..., 1, :], axis=-1) / 2
         # A neighbour's filtration value is half its longest side.
-        triangles = places[..., np.array(TRIANGLES[2:]), :]  # (..., S, 4, 3, 3)
+        triangles = corners[..., np.array(TRIANGLES[2:]), :]  # (..., S, 4, 3, 3)
         sides = np.linalg.norm(triangles - np.roll(triangles, 1, axis=-2), axis=-1)
         parts = {
-            "corners": places,
+            "corners": corners,
             "neighbour_values": sides.max(axis=-1) / 2 * _corners(loops)[1],
             "birth": birth,
             "death": death,
@@ -322,9 +320,9 @@ def _at_all_frames(values: Array) -> Array:
     return np.asarray(values[:, after - 1] * (1 - share) + values[:, after] * share)
 
 
-def _shifts(loops: Sequence[Loop], places: Array) -> Array:
+def _shifts(loops: Sequence[Loop], corners: Array) -> Array:
     """Return (C, 60, S) the Hausdorff distances between killer edges and those of the frame before, from corners of loops."""
-    edges = places[..., :2, :]  # (C, 60, S, 2, 3)
+    edges = corners[..., :2, :]  # (C, 60, S, 2, 3)
     present = np.array([loop.killer_edge_points for loop in loops], np.float32).reshape(-1, 2, 3)
     before = np.concatenate([np.broadcast_to(present, edges[:, :1].shape), edges[:, :-1]], axis=1)
     gaps = np.linalg.norm(edges[..., :, None, :] - before[..., None, :, :], axis=-1)  # (C, 60, S, 2, 2)
