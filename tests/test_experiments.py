@@ -7,8 +7,10 @@ import json
 import shutil
 import sys
 from pathlib import Path
+from types import SimpleNamespace
 
 import forecasts
+import linkers
 import numpy as np
 import pandas as pd
 import paper
@@ -21,7 +23,7 @@ from topokit.data import Dataset
 from topokit.evaluate import true_loops
 from topokit.io import load_episode
 
-from conftest import DATA
+from conftest import DATA, polygon
 
 ROOT = Path(__file__).parent.parent
 EXPERIMENTS = ROOT / "book" / "experiments"
@@ -213,6 +215,71 @@ def test_tracks_of_a_film_are_scored(tmp_path, monkeypatch):
     pd.DataFrame([*rows, rows[3]], columns=tracking_benchmark.COLUMNS).to_csv(mine, index=False)
     with pytest.raises(ValueError, match=f"row {len(rows) + 1}"):
         tracking_benchmark.main(score)
+
+
+# -- linkers -----------------------------------------------------------------------------------------------------------------
+
+
+def two_rings(large: float, small: float) -> np.ndarray:
+    """Return a ring of 1 m and one of 70 cm, each around a place on the x axis."""
+    rings = [radius * np.insert(polygon(24), 2, 0.0, axis=1) for radius in (1.0, 0.7)]
+    return np.vstack([rings[0] + [large, 0, 0], rings[1] + [small, 0, 0]])
+
+
+def test_linkers_are_scored_on_rings_that_change_their_places(tmp_path, monkeypatch):
+    """Two rings change their places after three of six frames; in the second condition the small one is late.
+
+    Identities by shape are right; those by place change hands. All numbers are counted by hand.
+    """
+    places = [(0.0, 4.0)] * 3 + [(4.0, 0.0)] * 3
+    sizes = {"radii": np.array([1.0, 0.7]), "present": np.array([True, True])}
+    truth = [SimpleNamespace(centres=np.array([[x, 0, 0] for x in pair]), **sizes) for pair in places]
+    clouds = [two_rings(*pair) for pair in places]
+    conditions = [("250 points", clouds, 1), ("500 points", [clouds[0][:24], *clouds[2::2]], 2)]
+    weights = {"by place": [1.0], "by shape": [0.0], "tuned": [1.0, 0.0]}
+    choices = {name: (linkers.lifted_link, linkers.choices(weight=some)) for name, some in weights.items()}
+    monkeypatch.setattr(linkers, "true_loops", lambda *_: truth)
+    monkeypatch.setattr(linkers, "conditions", lambda _: conditions)
+    monkeypatch.setattr(linkers, "LINKERS", choices)
+    monkeypatch.setattr(linkers, "WITH", {"alpha": ("tuned",), "seqPH": tuple(weights)})
+    monkeypatch.setattr(linkers, "TUNED_IN", ("250 points",))
+    for folder in ("tuning", "films"):
+        (tmp_path / folder).mkdir()
+        for seed in (0, 1):
+            shutil.copy(DATA / "apron_hook_0.npz", tmp_path / folder / f"film_{seed}.npz")
+    out = tmp_path / "linkers.json"
+    arguments = ["--tuning", str(tmp_path / "tuning"), "--episodes", str(tmp_path / "films"), "--out", str(out)]
+    linkers.main([*arguments, "--made"])
+    made = json.loads(out.read_text())
+
+    # Of the options of a linker the better ones are taken.
+    assert made["options"]["tuned, bars by seqPH"] == made["options"]["tuned, bars by alpha"] == {"weight": 0.0}
+    assert (
+        made["merit_on_tuning_films"]["by place, bars by seqPH"] < made["merit_on_tuning_films"]["tuned, bars by seqPH"]
+    )
+    # Of a film: objects, detections, switches, and the detections that have the identity of their object.
+    counted = {
+        ("250 points", "by shape"): (12, 12, 0, 12),
+        ("250 points", "by place"): (12, 12, 2, 6),
+        ("500 points", "by shape"): (6, 5, 0, 5),
+        ("500 points", "by place"): (6, 5, 2, 3),
+        ("all together", "by shape"): (18, 17, 0, 17),
+        ("all together", "by place"): (18, 17, 4, 9),
+    }
+    for (condition, linker), (objects, detections, switches, right) in counted.items():
+        line = made["table"][condition][f"{linker}, bars by seqPH"]
+        found = [line[name] for name in ("objects", "detections", "switches", "false_positives")]
+        assert found == [2 * objects, 2 * detections, 2 * switches, 0]
+        assert line["idf1"] == pytest.approx(2 * right / (objects + detections), abs=1e-4)
+        assert line["mota"] == pytest.approx(1 - (objects - detections + switches) / objects, abs=1e-4)
+        assert line["idf1_interval"] == [line["idf1"]] * 2  # both films are the same
+    idf1 = made["against_strangers"]["500 points"]["idf1"]
+    assert (idf1["stranger"], idf1["best"]) == ("tuned, bars by alpha", pytest.approx(10 / 11, abs=1e-4))
+
+    # What is there is not computed again.
+    monkeypatch.setattr(linkers, "conditions", None)
+    linkers.main([*arguments, "--made"])
+    assert json.loads(out.read_text()) == made
 
 
 # -- scripts -----------------------------------------------------------------------------------------------------------------

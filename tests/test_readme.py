@@ -6,14 +6,15 @@ import json
 import re
 from pathlib import Path
 
+import linkers
 import pandas as pd
+from tables import in_page
 
 import _rips_tables
 
 ROOT = Path(__file__).parent.parent
 README = (ROOT / "README.md").read_text()
 USAGE = (ROOT / "book" / "usage.md").read_text()
-SPEED = (ROOT / "book" / "speed.md").read_text()
 FORECASTERS = {
     "Motion": "ours",
     "seqPH, sees the frame": "seqph",
@@ -62,8 +63,10 @@ def test_shares_in_the_setting_of_the_paper():
         assert [int(cell) for cell in shown] == [round(100 * share[(*column, forecaster)]) for column in columns]
 
 
-def test_times_of_persistence():
-    assert _rips_tables.in_page(SPEED, record("rips")) == SPEED, "run python book/experiments/rips.py --page"
+def test_tables_of_the_benchmarks():
+    for script, page, found in (("rips", "speed", _rips_tables), ("linkers", "benchmark", linkers)):
+        text = (ROOT / "book" / f"{page}.md").read_text()
+        assert in_page(text, f"{script}.py", found.tables(record(script))) == text, f"run {script}.py --page"
 
 
 def test_numbers_of_readme():

@@ -4,13 +4,11 @@ Idea: every forecaster gets the same bootstrap draws of films, so that a differe
 named here by its forecaster and its number of training films, `mlp|500`.
 """
 
-from __future__ import annotations
-
 from typing import Any
 
 import numpy as np
 import pandas as pd
-from tables import bootstrap, interval
+from tables import bootstrap, interval, quotient
 
 # Each measure: the column of distances in metres, and how far beside the hull still counts.
 MEASURES = {
@@ -48,8 +46,7 @@ def shares_of(samples: pd.DataFrame, draws_seed: int = 0) -> dict[str, tuple[pd.
         shares = {}
         counts = {}
         for seed, sums in totals.items():
-            measured = sums.xs(f"{name}_n", axis=1, level=2)
-            share = sums.xs(name, axis=1, level=2) / measured
+            share, measured = quotient(sums, name, f"{name}_n")
             for model in share.columns.unique(0):
                 for step in share[model]:
                     shares[model, seed, str(step)] = share[model][step]
@@ -72,13 +69,11 @@ def table_of(
     for measure, (shares, counts) in shares_of(samples).items():
         claims[measure] = differences(shares, films)
         cells = interval(pd.concat([shares, carried_on(shares, extrapolated_to, curve_seed)], axis=1))
-        for (model, seed, horizon), cell in zip(cells.index, cells.itertuples(), strict=True):
+        for (model, seed, horizon), cell in cells.rename(columns={"mean": "share"}).iterrows():
             forecaster, _, training_films = model.partition("|")
             row = {"measure": measure, "forecaster": forecaster, "training_films": int(training_films), "seed": seed}
-            row |= {"horizon": horizon, "share": cell.mean, "low": cell.low, "high": cell.high}
-            row["films"] = samples["episode"].nunique()
-            row["windows"] = int(counts.get((model, seed, horizon), 0))
-            rows.append(row)
+            row |= {"horizon": horizon, **cell, "films": samples["episode"].nunique()}
+            rows.append(row | {"windows": int(counts.get((model, seed, horizon), 0))})
     return pd.DataFrame(rows), claims
 
 
@@ -127,9 +122,8 @@ def differences(shares: pd.DataFrame, films: int) -> dict[str, Any]:
     pairs += [("motion_unknown", "carry")]
     found = {}
     for one, other in pairs:
-        if one not in models or other not in models:
-            continue
-        found[f"{one} - {other}"] = _in_points(shares[models[one]]["all"] - shares[models[other]]["all"])
+        if one in models and other in models:
+            found[f"{one} - {other}"] = _in_points(shares[models[one]]["all"] - shares[models[other]]["all"])
     return found
 
 

@@ -6,8 +6,6 @@ What a fully connected network is given besides (grippers of every frame, target
 each always in the same place. A Motion learns where vertices went; `LabelledScenes` tell it what the other networks are told.
 """
 
-from __future__ import annotations
-
 from collections.abc import Mapping, Sequence
 
 import numpy as np

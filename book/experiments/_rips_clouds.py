@@ -1,7 +1,5 @@
 """The clouds of the benchmark of persistence: the same ones in every run."""
 
-from __future__ import annotations
-
 from pathlib import Path
 
 import numpy as np

@@ -5,8 +5,6 @@ called in the way that is fastest for it: with a matrix made by SciPy where it w
 radius at which the complex is a cone, unless it finds that itself.
 """
 
-from __future__ import annotations
-
 from collections.abc import Callable
 from importlib.metadata import version
 from importlib.util import find_spec
@@ -22,40 +20,13 @@ import topokit as tk
 
 Array = NDArray[np.float64]
 Bars = Callable[[Array, bool], Array]
-PACKAGES = {
-    "redzed-tda": "redzed_tda",
-    "tda": "tda",
-    "holos-tda": "holos_tda",
-    "giotto-ph": "gph",
-    "GUDHI, collapsed": "gudhi",
-    "ripser.py": "ripser",
-    "Ripser, sparse": "ripser",
-    "Ripser, told the end": "ripser",
-}
-
-
-NAMES = tuple(PACKAGES)
-
-
-def installed() -> dict[str, Bars]:
-    """Return the peers by name, the fastest first."""
-    makers = (redzed, rust_tda, holos, giotto, gudhi_collapsed, ripser_dense, ripser_sparse, ripser_told)
-    return {name: make() for (name, module), make in zip(PACKAGES.items(), makers, strict=True) if find_spec(module)}
-
-
-def versions() -> dict[str, str]:
-    """Return the versions of topokit, of what it needs, and of the peers that are installed."""
-    names = ["topokit", "numpy", "scipy", "numba", *(("giotto-ph" if m == "gph" else m) for m in PACKAGES.values())]
-    return {
-        name: tk.__version__ if name == "topokit" else version(name)
-        for name in dict.fromkeys(names)
-        if find_spec("gph" if name == "giotto-ph" else name)
-    }
 
 
 def distances(data: Array, is_matrix: bool) -> Array:
     """Return the square matrix of distances."""
-    return data if is_matrix else squareform(pdist(data))
+    if is_matrix:
+        return data
+    return squareform(pdist(data))
 
 
 def enclosing_radius(matrix: Array) -> float:
@@ -63,67 +34,57 @@ def enclosing_radius(matrix: Array) -> float:
     return float(matrix.max(axis=1).min())
 
 
-def redzed() -> Bars:
+# Peers are imported when they are first called, so that each can be missing.
+
+
+def redzed(data: Array, is_matrix: bool) -> Array:
     """Compute bars by redzed-tda."""
     import redzed_tda
 
-    return lambda data, is_matrix: redzed_tda.rips(distances(data, is_matrix), 1)[1]
+    return redzed_tda.rips(distances(data, is_matrix), 1)[1]
 
 
-def rust_tda() -> Bars:
+def rust_tda(data: Array, is_matrix: bool) -> Array:
     """Compute bars by tda, on single precision."""
     import tda
 
-    def bars(data: Array, is_matrix: bool) -> Array:
-        single = data.astype(np.float32)
-        return tda.persistent_homology(single, 1, distance_matrix=is_matrix, parallel=False)[1]
-
-    return bars
+    return tda.persistent_homology(data.astype(np.float32), 1, distance_matrix=is_matrix, parallel=False)[1]
 
 
-def holos() -> Bars:
+def holos(data: Array, is_matrix: bool) -> Array:
     """Compute bars by holos-tda."""
     import holos_tda
 
-    def bars(data: Array, is_matrix: bool) -> Array:
-        found = holos_tda.rips_condensed(squareform(data), 1) if is_matrix else holos_tda.rips_points(data, 1)
-        return np.array([bar[1:3] for bar in found if bar[0] == 1]).reshape(-1, 2)
-
-    return bars
+    found = holos_tda.rips_condensed(squareform(data), 1) if is_matrix else holos_tda.rips_points(data, 1)
+    return np.array([bar[1:3] for bar in found if bar[0] == 1]).reshape(-1, 2)
 
 
-def giotto() -> Bars:
+def giotto(data: Array, is_matrix: bool) -> Array:
     """Compute bars by giotto-ph."""
     from gph import ripser_parallel
 
-    def bars(data: Array, is_matrix: bool) -> Array:
-        metric = "precomputed" if is_matrix else "euclidean"
-        return ripser_parallel(data, maxdim=1, n_threads=1, metric=metric)["dgms"][1]
-
-    return bars
+    metric = "precomputed" if is_matrix else "euclidean"
+    return ripser_parallel(data, maxdim=1, n_threads=1, metric=metric)["dgms"][1]
 
 
-def gudhi_collapsed() -> Bars:
+def gudhi_collapsed(data: Array, is_matrix: bool) -> Array:
     """Compute bars by GUDHI after collapsing edges."""
     import gudhi
 
-    def bars(data: Array, is_matrix: bool) -> Array:
-        matrix = distances(data, is_matrix)
-        rips = gudhi.RipsComplex(distance_matrix=matrix, max_edge_length=enclosing_radius(matrix))
-        tree = rips.create_simplex_tree(max_dimension=1)
-        tree.collapse_edges()
-        tree.expansion(2)
-        tree.compute_persistence(homology_coeff_field=2)
-        return tree.persistence_intervals_in_dimension(1)
-
-    return bars
+    matrix = distances(data, is_matrix)
+    rips = gudhi.RipsComplex(distance_matrix=matrix, max_edge_length=enclosing_radius(matrix))
+    tree = rips.create_simplex_tree(max_dimension=1)
+    tree.collapse_edges()
+    tree.expansion(2)
+    tree.compute_persistence(homology_coeff_field=2)
+    return tree.persistence_intervals_in_dimension(1)
 
 
-def ripser_dense() -> Bars:
+def ripser_dense(data: Array, is_matrix: bool) -> Array:
     """Compute bars by ripser.py on all pairs."""
     import ripser
 
-    return lambda data, is_matrix: ripser.ripser(data, maxdim=1, distance_matrix=is_matrix)["dgms"][1]
+    return ripser.ripser(data, maxdim=1, distance_matrix=is_matrix)["dgms"][1]
 
 
 def _sparse_bars(matrix: Array, longest: float) -> Array:
@@ -135,37 +96,53 @@ def _sparse_bars(matrix: Array, longest: float) -> Array:
     return ripser.ripser(edges, maxdim=1, distance_matrix=True)["dgms"][1]
 
 
-def ripser_sparse() -> Bars:
+def ripser_sparse(data: Array, is_matrix: bool) -> Array:
     """Compute bars by Ripser up to the enclosing radius."""
-
-    def bars(data: Array, is_matrix: bool) -> Array:
-        matrix = distances(data, is_matrix)
-        return _sparse_bars(matrix, enclosing_radius(matrix))
-
-    return bars
+    matrix = distances(data, is_matrix)
+    return _sparse_bars(matrix, enclosing_radius(matrix))
 
 
-def ripser_told() -> Bars:
+def ripser_told(data: Array, is_matrix: bool) -> Array:
     """Compute bars by Ripser up to the last death, which topokit computes once for each cloud, outside of the time."""
-    known: dict[bytes, float] = {}
+    key = data.tobytes()
+    if key not in _last_deaths:
+        _last_deaths[key] = last_death(data, is_matrix) * (1 + 1e-6)
+    return _sparse_bars(distances(data, is_matrix), _last_deaths[key])
 
-    def bars(data: Array, is_matrix: bool) -> Array:
-        key = data.tobytes()
-        if key not in known:
-            known[key] = last_death(data, is_matrix) * (1 + 1e-6)
-        return _sparse_bars(distances(data, is_matrix), known[key])
 
-    return bars
+_last_deaths: dict[bytes, float] = {}
+# The module of each peer and its bars, the fastest first.
+PEERS: dict[str, tuple[str, Bars]] = {
+    "redzed-tda": ("redzed_tda", redzed),
+    "tda": ("tda", rust_tda),
+    "holos-tda": ("holos_tda", holos),
+    "giotto-ph": ("gph", giotto),
+    "GUDHI, collapsed": ("gudhi", gudhi_collapsed),
+    "ripser.py": ("ripser", ripser_dense),
+    "Ripser, sparse": ("ripser", ripser_sparse),
+    "Ripser, told the end": ("ripser", ripser_told),
+}
+NAMES = tuple(PEERS)
+
+
+def installed() -> dict[str, Bars]:
+    """Return the peers that are installed by name, the fastest first."""
+    return {name: bars for name, (module, bars) in PEERS.items() if find_spec(module)}
+
+
+def versions() -> dict[str, str]:
+    """Return the versions of topokit, of what it needs, and of the peers that are installed."""
+    found = {"topokit": tk.__version__}
+    for module in ("numpy", "scipy", "numba", *(module for module, _ in PEERS.values())):
+        if find_spec(module):
+            name = {"gph": "giotto-ph"}.get(module, module)
+            found[name] = version(name)
+    return found
 
 
 def ours(data: Array, is_matrix: bool) -> tk.rips.Diagram:
     """Compute bars by topokit."""
     return tk.rips_persistence(data, metric="precomputed" if is_matrix else "euclidean")
-
-
-def compile_ours() -> None:
-    """Load topokit's kernel, compiled if it is not yet."""
-    ours(np.random.default_rng(0).random((2000, 2)), False)
 
 
 def last_death(data: Array, is_matrix: bool = False) -> float:

@@ -1,11 +1,10 @@
 """The figures of the benchmark of persistence as lines, as a file, and as the tables of the page *Speed*."""
 
-from __future__ import annotations
-
 import datetime as dt
 import json
 import os
 import platform
+import re
 from pathlib import Path
 from typing import Any
 
@@ -19,18 +18,14 @@ def line(e: Entry) -> str:
     return f"{e['what']:>44} {sizes(e):>26} {outcome(e):>12}  {beside(e)}"
 
 
-def processor() -> str:
-    """Return the processor's name, as far as the system knows it."""
-    info = Path("/proc/cpuinfo")
-    rows = info.read_text().splitlines() if info.exists() else []
-    models = [row.split(":")[1].strip() for row in rows if "model name" in row]
-    return models[0] if models else platform.machine()
-
-
 def machine() -> Entry:
-    """Return the machine that the figures are from."""
+    """Return the machine that the figures are from; its processor as far as the system knows it."""
+    info = Path("/proc/cpuinfo")
+    models = [platform.machine()]
+    if info.exists():
+        models = re.findall(r"model name\s*: (.*)", info.read_text()) or models
     return {
-        "processor": processor(),
+        "processor": models[0],
         "cores": os.cpu_count(),
         "python": platform.python_version(),
         "versions": _rips_peers.versions(),
@@ -39,9 +34,12 @@ def machine() -> Entry:
 
 def store(path: Path, name: str, entries: list[Entry], command: str) -> None:
     """Put a row into the file. Rows from another machine or other versions do not stay beside it."""
-    old = json.loads(path.read_text()) if path.exists() else {}
     here = machine()
-    rows = old["rows"] if old.get("machine") == here else {}
+    rows = {}
+    if path.exists():
+        old = json.loads(path.read_text())
+        if old["machine"] == here:
+            rows = old["rows"]
     rows[name] = {"command": command, "date": dt.date.today().isoformat(), "entries": entries}
     text = json.dumps({"machine": here, "rows": rows}, indent=1)
     path.write_text(text + "\n")
@@ -79,13 +77,6 @@ def tables(results: Entry) -> str:
     return "\n".join(text)
 
 
-def in_page(page: str, results: Entry) -> str:
-    """Return a page with the tables between its two marks made anew."""
-    before, rest = page.split(MARKS[0])
-    _, after = rest.split(MARKS[1])
-    return f"{before}{MARKS[0]}\n{tables(results)}\n{MARKS[1]}{after}"
-
-
 def sizes(e: Entry) -> str:
     """Return how many clouds and points an entry is about."""
     return " of ".join(f"{e[key]:,} {key}" for key in ("clouds", "points") if key in e)
@@ -109,7 +100,6 @@ def duration(ms: float) -> str:
     return f"{ms:.3g} ms" if ms < 999.5 else f"{ms / 1e3:.3g} s"
 
 
-MARKS = ("<!-- python book/experiments/rips.py --page -->", "<!-- until here -->")
 BESIDE = {
     "one_by_one_ms": "one by one {}",
     "processor_ms": "of which processor {}",

@@ -1,7 +1,5 @@
 """Clouds that trackers are shown of an episode: samples, noise, outliers, holes, and what depth cameras see."""
 
-from __future__ import annotations
-
 from collections.abc import Callable, Iterator
 from functools import lru_cache
 

@@ -8,13 +8,11 @@ the edge that ends its class.
 Source: the hull measure is that of Antonova et al. 2021, section 6. Taught in chapter 15.
 """
 
-from __future__ import annotations
-
 import itertools
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from functools import cached_property
-from typing import Any
+from typing import Any, Self
 
 import numpy as np
 import torch
@@ -214,7 +212,7 @@ class _Sample:
         best = min(orders, key=lambda order: float(self.distances[chosen, list(order)].sum()))
         return list(zip(chosen, best, strict=True))
 
-    def same_slot(self, first: _Sample) -> float:
+    def same_slot(self, first: Self) -> float:
         """Return the share of the true loops found at the first step and still present that the same slot finds."""
         still = [loop for loop in first.slot_of_loop if loop in self.loops]
         if not still:

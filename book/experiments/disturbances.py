@@ -1,7 +1,5 @@
 """Disturb `topokit.sim.HangEnv`: a bad sensor, an early release, cloth that is pushed or held by one gripper."""
 
-from __future__ import annotations
-
 from collections import deque
 from typing import Any
 

@@ -4,8 +4,6 @@ A square of 30 cm lies across a rod under its middle, held there at both ends; i
 free edges hang below the rod as a share of the overhang: near 0 for a board, near 1 for what hangs straight down.
 """
 
-from __future__ import annotations
-
 import dataclasses
 
 import numpy as np

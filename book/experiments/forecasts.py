@@ -6,8 +6,6 @@ windows of it. The record has means over windows with bootstrap intervals (table
 Source: the figure is that of Antonova et al. 2021, section 6. Taught in chapter 15.
 """
 
-from __future__ import annotations
-
 import argparse
 import hashlib
 import json
@@ -15,7 +13,7 @@ import os
 import platform
 import sys
 import warnings
-from collections.abc import Callable, Iterable, Mapping, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import asdict, dataclass, field, replace
 from functools import cache, lru_cache
 from pathlib import Path
@@ -27,7 +25,7 @@ import torch
 from accuracy import TrueCurves, measure_forecasts
 from numpy.typing import NDArray
 from spoilt import spoil
-from tables import bootstrap, draw_episodes, draw_seeds, interval, write_results
+from tables import bootstrap, draw_episodes, draw_seeds, interval, quotient, write_results
 from torch import Tensor
 from torch.utils.data import default_collate
 from tqdm import tqdm
@@ -43,7 +41,8 @@ Forecaster = Callable[[Mapping[str, Tensor]], StateTensors]
 
 ROOT = Path(__file__).parents[2]
 BATCH = 64
-HORIZONS = (1, 15, 30, 60)  # the paper's steps ahead, as far as a forecast goes
+HORIZONS = (1, 15, 30, 60)  # the paper's steps ahead: those of the tables
+STEPS = (1, *range(5, 61, 5))  # those of the curves
 MODELS = ("seqph", "hold", "carry", "ridge", "mlp", "pointnet", "ours")  # the order of the tables
 TOLERANCES = (0.0, 0.01, 0.02, 0.03, 0.05, 0.1)  # metres beside a hull that still count as in it
 FAR = 0.05  # metres outside the hull: a forecast that is lost
@@ -185,7 +184,7 @@ def header(config: EvaluationConfig) -> dict[str, Any]:
         "seed": config.seed,
         "bootstrap_samples": config.samples,
         "tolerance": config.tolerance,
-        "horizons": [*map(str, horizons_of(config.shape.horizon)), "mean"],
+        "horizons": [*map(str, HORIZONS), "mean"],
         "made_with": {
             "topokit": topokit.__version__,
             "torch": torch.__version__,
@@ -198,16 +197,6 @@ def header(config: EvaluationConfig) -> dict[str, Any]:
 
 
 # ---------------------------------------------------------------------------------------------------- windows and forecasters
-
-
-def horizons_of(horizon: int) -> tuple[int, ...]:
-    """Return the steps of the tables."""
-    return tuple(step for step in HORIZONS if step <= horizon)
-
-
-def steps_of(horizon: int) -> tuple[int, ...]:
-    """Return the steps of the curves: every fifth, the first, and those of the tables."""
-    return tuple(sorted({1, *range(5, horizon + 1, 5), *horizons_of(horizon)}))
 
 
 def tested_episodes(condition: Condition, dataset: Dataset, labels: str) -> NDArray[np.int64]:
@@ -384,7 +373,6 @@ def measure_condition(config: EvaluationConfig, condition: Condition, folder: Pa
     dataset = Dataset(folder / (condition.dataset or config.dataset))
     labels = condition.labels or config.labels
     shape = config.shape
-    steps = steps_of(shape.horizon)
 
     # Windows as the labels have them, and the same windows as the forecasters see them.
     options = {"history": shape.history, "horizon": shape.horizon, "slots": shape.slots}
@@ -413,20 +401,20 @@ def measure_condition(config: EvaluationConfig, condition: Condition, folder: Pa
             predictor, about = load_checkpoint(folder / path, path, shape)
             check_unseen(about, clean, condition)
             if about["model"] == "motion":
-                forecasters[shown].append(of_stream(predictor, observed, steps))
+                forecasters[shown].append(of_stream(predictor, observed, STEPS))
             else:
                 forecasters[shown].append(of_windows(predictor.model))
             checkpoints[shown].append(about)
     for name, found in forecasters.items():
         forecasters[name] = [turned(forecaster, condition.turned) for forecaster in found]
 
-    samples = measure(forecasters, clean, observed, steps, config.seed, condition.name)
+    samples = measure(forecasters, clean, observed, STEPS, config.seed, condition.name)
     settings = {key: value for key, value in asdict(condition).items() if key not in ("models", "dataset")}
     garments = samples.drop_duplicates("window")["garment"].value_counts()
     spoilt = condition.clouds is not None
     failures = []
     if "ours" in forecasters and not spoilt:  # no dataset holds spoilt clouds
-        failures = list_failures(samples, forecasters, clean, config, steps[-1])
+        failures = list_failures(samples, forecasters, clean, config)
     return {
         "dataset": {"sha256": dataset.checksum(), "seed": dataset.seed, "episodes": len(dataset)},
         "labels": {"name": labels, "sha256": dataset.labels(labels).checksum()},
@@ -485,26 +473,23 @@ def summarise(samples: pd.DataFrame, config: EvaluationConfig, thorough: bool) -
     """Return all tables of a condition."""
     order = [*MODELS, *samples["model"].unique()]
     samples = samples.sort_values("model", key=lambda names: names.map(order.index), kind="stable")
-    steps = steps_of(config.shape.horizon)
-    horizons = horizons_of(config.shape.horizon)
     totals = sums_of(samples, config)
     measures = {name: quotient(totals, *columns) for name, columns in RATIOS.items()}
     present = [quotient(totals, f"{kind}_right", kind) for kind in ("present", "absent")]
     measures["presence"] = (present[0][0] + present[1][0]) / 2, np.maximum(present[0][1], present[1][1])
 
     # Means over the windows by model and step, then what is no mean.
-    answer: dict[str, Any] = {name: table(*found, horizons) for name, found in measures.items()}
-    answer["nll_median"] = medians(samples, horizons)
-    answer["lost"] = lost(samples, config, horizons)
-    hits, counts = measures["hull_accuracy"]
-    answer["gain_of_ours"] = gains(hits, counts, horizons)
-    answer["outcomes"] = outcomes(samples, config.tolerance, horizons)
-    answer["by_seed"] = by_seed(samples, config.tolerance, horizons)
+    answer: dict[str, Any] = {name: table(*found) for name, found in measures.items()}
+    answer["nll_median"] = medians(samples)
+    answer["lost"] = lost(samples, config)
+    answer["gain_of_ours"] = gains(*measures["hull_accuracy"])
+    answer["outcomes"] = outcomes(samples, config.tolerance)
+    answer["by_seed"] = by_seed(samples, config.tolerance)
     answer["curves"] = {
-        name: table(*measures[name], steps, mean=False)
+        name: table(*measures[name], STEPS, mean=False)
         for name in ("hull_accuracy", "distance_cm", "identity", "presence")
     }
-    answer["hull_treatments"] = treatments(totals, TOLERANCES, horizons)
+    answer["hull_treatments"] = treatments(totals, TOLERANCES)
 
     # The same for each garment and each target, with draws of their own.
     for kind in ("garment", "target"):
@@ -516,9 +501,9 @@ def summarise(samples: pd.DataFrame, config: EvaluationConfig, thorough: bool) -
             sums = sums_of(part, config)
             entry = {"windows": int(part["window"].nunique()), "episodes": int(part["episode"].nunique())}
             for measure in ("hull_accuracy", "in_opening"):
-                entry[measure] = table(*quotient(sums, *RATIOS[measure]), horizons)
+                entry[measure] = table(*quotient(sums, *RATIOS[measure]))
             if thorough and kind == "garment":
-                entry["hull_treatments"] = treatments(sums, (0.0, config.tolerance), horizons)
+                entry["hull_treatments"] = treatments(sums, (0.0, config.tolerance))
             answer[f"by_{kind}"][str(name)] = entry
     return answer
 
@@ -543,13 +528,9 @@ def sums_of(samples: pd.DataFrame, config: EvaluationConfig) -> pd.DataFrame:
     return bootstrap(table, [*values, *counts], config.samples, config.seed)
 
 
-def quotient(totals: pd.DataFrame, top: str, bottom: str) -> tuple[pd.DataFrame, pd.DataFrame]:
-    """Return one column over another in all draws, and the other: (draws, model and step) each."""
-    below = totals.xs(bottom, axis=1, level=2)
-    return totals.xs(top, axis=1, level=2) / below.where(below > 0), below
-
-
-def table(values: pd.DataFrame, counts: pd.DataFrame, steps: Iterable[int], mean: bool = True) -> dict[str, Any]:
+def table(
+    values: pd.DataFrame, counts: pd.DataFrame, steps: Sequence[int] = HORIZONS, mean: bool = True
+) -> dict[str, Any]:
     """Return by model and step the mean, its interval and the number of samples, and so of the mean over the steps."""
     answer = {}
     for model in values.columns.unique(0):
@@ -558,33 +539,23 @@ def table(values: pd.DataFrame, counts: pd.DataFrame, steps: Iterable[int], mean
         if mean:
             chosen = chosen.assign(mean=chosen.mean(axis=1, skipna=False))
             number["mean"] = number.max()
-        cells = interval(chosen).round(4)
-        cells["n"] = number
-        answer[model] = {str(step): plain(cells.loc[step]) for step in cells.index}
+        cells = interval(chosen).round(4).replace([np.inf, -np.inf, np.nan], None)  # as JSON has it
+        rows = cells.to_dict("index").items()
+        answer[model] = {str(step): cell | {"n": round(number[step])} for step, cell in rows}
     return answer
 
 
-def plain(cell: pd.Series) -> dict[str, Any]:
-    """Return a cell as JSON; None where nothing is known."""
-    entry: dict[str, Any] = {
-        name: float(cell[name]) if np.isfinite(cell[name]) else None for name in ("mean", "low", "high")
-    }
-    return entry | {"n": round(cell["n"])}
-
-
-def gains(hits: pd.DataFrame, counts: pd.DataFrame, horizons: Sequence[int]) -> dict[str, Any]:
+def gains(hits: pd.DataFrame, counts: pd.DataFrame) -> dict[str, Any]:
     """Return how far the hull accuracy of ours is above that of the others, on the same draws of episodes."""
-    models = list(hits.columns.unique(0))
-    if "ours" not in models:
+    others = [model for model in hits.columns.unique(0) if model != "ours"]
+    if "ours" not in hits:
         return {}
-    others = [model for model in models if model != "ours"]
-    differences = pd.concat({model: hits["ours"] - hits[model] for model in others}, axis=1)
-    return table(differences, counts, horizons)
+    return table(pd.concat({model: hits["ours"] - hits[model] for model in others}, axis=1), counts)
 
 
-def medians(samples: pd.DataFrame, horizons: Sequence[int]) -> dict[str, Any]:
+def medians(samples: pd.DataFrame) -> dict[str, Any]:
     """Return the median over the windows of the negative log-likelihood, without intervals."""
-    found = samples[samples["step"].isin(horizons)].groupby(["model", "step"], sort=False)["nll"].median().unstack()
+    found = samples[samples["step"].isin(HORIZONS)].groupby(["model", "step"], sort=False)["nll"].median().unstack()
     found["mean"] = found.mean(axis=1, skipna=False)
     answer: dict[str, Any] = {}
     for model, row in found.round(4).iterrows():
@@ -592,10 +563,10 @@ def medians(samples: pd.DataFrame, horizons: Sequence[int]) -> dict[str, Any]:
     return answer
 
 
-def lost(samples: pd.DataFrame, config: EvaluationConfig, horizons: Sequence[int]) -> dict[str, Any]:
+def lost(samples: pd.DataFrame, config: EvaluationConfig) -> dict[str, Any]:
     """Return the chance that of two forecasts the one far outside the hull expects more error (AUROC), with intervals."""
     expected = samples.dropna(subset=["expected_variance"])
-    expected = expected[expected["step"].isin(horizons)]
+    expected = expected[expected["step"].isin(HORIZONS)]
     answer: dict[str, Any] = {}
     for model, rows in expected.groupby("model", sort=False):
         chances = {}
@@ -612,7 +583,7 @@ def lost(samples: pd.DataFrame, config: EvaluationConfig, horizons: Sequence[int
             counts[step] = len(part) / part["seed"].nunique()
         values = pd.concat({model: pd.DataFrame(chances)}, axis=1)
         numbers = pd.concat({model: pd.DataFrame(counts, index=[0])}, axis=1)
-        answer |= table(values, numbers, [step for step in horizons if step in chances])
+        answer |= table(values, numbers, [step for step in HORIZONS if step in chances])
     return answer
 
 
@@ -623,27 +594,25 @@ def draw_samples(samples: pd.DataFrame, config: EvaluationConfig) -> NDArray[np.
     return episodes[samples["episode"]].to_numpy() * seeds[samples["seed"]].to_numpy()
 
 
-def outcomes(samples: pd.DataFrame, tolerance: float, horizons: Sequence[int]) -> dict[str, Any]:
+def outcomes(samples: pd.DataFrame, tolerance: float) -> dict[str, Any]:
     """Return shares of windows: in the hull, beside it by 10 cm at most, farther, or too few loops forecast."""
     known = samples.dropna(subset=["hull_distance"])
     ends = [-np.inf, max(tolerance, 1e-9), 0.1, np.finfo(float).max, np.inf]
     kinds = pd.cut(known["hull_distance"], ends, labels=["hit", "near", "far", "silent"])
-    shares = (
-        kinds.groupby([known["model"], known["step"]], sort=False).value_counts(normalize=True).unstack(fill_value=0.0)
-    )
+    groups = kinds.groupby([known["model"], known["step"]], sort=False)
+    shares = groups.value_counts(normalize=True).unstack(fill_value=0.0)
     answer: dict[str, Any] = {}
     for model in samples["model"].unique():
-        answer[model] = {str(step): shares.loc[model, step].round(4).to_dict() for step in horizons}
+        answer[model] = {str(step): shares.loc[model, step].round(4).to_dict() for step in HORIZONS}
     return answer
 
 
-def by_seed(samples: pd.DataFrame, tolerance: float, horizons: Sequence[int]) -> dict[str, Any]:
+def by_seed(samples: pd.DataFrame, tolerance: float) -> dict[str, Any]:
     """Return the hull accuracy of every training seed on its own, for models that have several."""
     known = samples.dropna(subset=["hull_distance"])
-    known = known[known["step"].isin(horizons)]
-    hits = (
-        (known["hull_distance"] <= max(tolerance, 1e-9)).groupby([known["model"], known["seed"], known["step"]]).mean()
-    )
+    known = known[known["step"].isin(HORIZONS)]
+    hits = known["hull_distance"] <= max(tolerance, 1e-9)
+    hits = hits.groupby([known["model"], known["seed"], known["step"]]).mean()
     answer: dict[str, Any] = {}
     for model in samples["model"].unique():
         each = hits[model].unstack("step")
@@ -653,7 +622,7 @@ def by_seed(samples: pd.DataFrame, tolerance: float, horizons: Sequence[int]) ->
     return answer
 
 
-def treatments(totals: pd.DataFrame, tolerances: Sequence[float], horizons: Sequence[int]) -> dict[str, Any]:
+def treatments(totals: pd.DataFrame, tolerances: Sequence[float]) -> dict[str, Any]:
     """Return the hull accuracy when a nearly flat hull is treated otherwise, or presence is not asked for."""
     columns = {}
     for curve, column in CURVES.items():
@@ -663,7 +632,7 @@ def treatments(totals: pd.DataFrame, tolerances: Sequence[float], horizons: Sequ
     columns["in the opening"] = RATIOS["in_opening"]
     ignored = next(name for name in totals.columns.unique(2) if name.startswith("hull_distance_presence_ignored, "))
     columns["presence not asked for"] = ignored, "hull_distance_presence_ignored_n"
-    return {name: table(*quotient(totals, *pair), horizons) for name, pair in columns.items()}
+    return {name: table(*quotient(totals, *pair)) for name, pair in columns.items()}
 
 
 # ------------------------------------------------------------------------------------------------------------------ failures
@@ -674,17 +643,16 @@ def list_failures(
     forecasters: Mapping[str, Sequence[Forecaster]],
     windows: WindowDataset,
     config: EvaluationConfig,
-    step: int,
 ) -> list[dict[str, Any]]:
     """Return the worst samples, and what models forecast there for the last step: loops by lifetime times presence, metres."""
+    step = HORIZONS[-1]
     last = samples[(samples["step"] == step) & (samples["seed"] == 0)]
     distances = last.pivot(index="window", columns="model", values="hull_distance_presence_ignored")
     ours = distances["ours"].replace(np.inf, np.nan)  # elsewhere nothing is forecast, and there is nothing to be seen
     garments = last.drop_duplicates("window").set_index("window")["garment"]
     ranked = ours[ours > config.tolerance].sort_values(ascending=False, kind="stable")
-    chosen = ranked[~garments[ranked.index].duplicated().to_numpy()].index[
-        :MOST_FAILURES
-    ]  # the farthest of each garment
+    # The farthest of each garment.
+    chosen = ranked[~garments[ranked.index].duplicated().to_numpy()].index[:MOST_FAILURES]
     if not len(chosen):
         return []
     batch = default_collate([windows[row] for row in chosen])
@@ -692,20 +660,11 @@ def list_failures(
     with torch.inference_mode():
         forecasts = {name: forecasters[name][0](batch)[:, step - 1] for name in names}
     failures = []
+    away = (100 * distances[names]).round(1).replace(np.inf, None)
     for place, row in enumerate(chosen):
-        cells = distances.loc[row]
-        failures.append(
-            {
-                "episode": int(windows.index[row, 0]),
-                "frame": int(windows.index[row, 1]),
-                "step": step,
-                "garment": str(garments[row]),
-                "hull_distance_cm": {
-                    name: round(100 * float(cells[name]), 1) if np.isfinite(cells[name]) else None for name in names
-                },
-                "forecasts": {name: loops_of(states[place]) for name, states in forecasts.items()},
-            }
-        )
+        failure = {"episode": int(windows.index[row, 0]), "frame": int(windows.index[row, 1]), "step": step}
+        failure |= {"garment": str(garments[row]), "hull_distance_cm": away.loc[row].to_dict()}
+        failures.append(failure | {"forecasts": {name: loops_of(part[place]) for name, part in forecasts.items()}})
     return failures
 
 
@@ -718,9 +677,8 @@ def loops_of(states: StateTensors) -> list[dict[str, Any]]:
         if lifetime[slot] > 0:
             mean = states.mean[slot].double().numpy().round(4).tolist()
             triangles = states.triangles[slot, :2].double().numpy().round(4).tolist()
-            loops.append(
-                {"slot": slot, "presence": round(float(presence[slot]), 3), "mean": mean, "triangles": triangles}
-            )
+            likely = round(float(presence[slot]), 3)
+            loops.append({"slot": slot, "presence": likely, "mean": mean, "triangles": triangles})
     return loops
 
 

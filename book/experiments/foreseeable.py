@@ -9,8 +9,6 @@ they are, is its forecast. Loops are read off it as off any other (`topokit.mode
 motion.py. Beside it: the motion that came (*known*), a trained model, and carry.
 """
 
-from __future__ import annotations
-
 import argparse
 import dataclasses
 import json
@@ -191,8 +189,8 @@ def main() -> None:
     later = np.array(STEPS) - 1
     for number, frame in windows.index.tolist():
         film = films[number]
-        moved = futures_of(film, frame, {name: twins[number, frame, name] for name in TWINS}, model)
         points = film.points.astype(float)
+        moved = futures_of(film, frame, {name: twins[number, frame, name] for name in TWINS}, model)
         there = {name: places[later] for name, places in moved.items()} | {"carry": carry_of(points, film, frame)}
         for name, places in there.items():
             off = np.linalg.norm(places - points[frame + 1 + later], axis=2).mean(axis=1)

@@ -11,11 +11,10 @@ proves nothing. *rigid* throws where the others do, and knows of no flight. *ora
 robot has.
 """
 
-from __future__ import annotations
-
 import argparse
 import itertools
 import json
+import sys
 import time
 from collections import Counter
 from collections.abc import Mapping
@@ -29,6 +28,7 @@ from disturbances import Faults, Pushed, Release
 from scipy.stats import binomtest
 from tqdm import tqdm
 
+sys.path.append(str(Path(__file__).parents[2] / "notebooks"))
 from chapter_tools.dressing import PullOver
 from chapter_tools.throwing import Fence, Thrower
 from topokit._archive import atomic_file
@@ -87,48 +87,70 @@ class Rigid(Thrower):
         return np.repeat(held[np.arange(len(held)), lasts - 1][:, None], 4, axis=1)
 
 
-class Random:
+class Controller:
+    """A controller that remembers nothing of the frames before."""
+
+    reason = ""
+
+    def reset(self, observation: Mapping[str, Any]) -> None:
+        """Begin an episode."""
+
+
+class Random(Controller):
     """A controller by chance: it draws a way for every half second, and lets go at some time."""
 
     def reset(self, observation: Mapping[str, Any]) -> None:
-        self.reason = ""
+        """Begin an episode with draws of its own."""
         self._frame = 0
         self._random = np.random.default_rng(np.frombuffer(observation["grippers"].tobytes(), np.uint32))
 
     def act(self, observation: Mapping[str, Any]) -> Any:
+        """Return the way of this half second."""
         if self._frame % 14 == 0:
             self._move = np.tile(self._random.uniform(-0.6, 0.6, 3), 2)
         self._frame += 1
         return np.append(self._move, float(self._random.random() < 1 / 60)).astype(np.float32)
 
 
-class Straight:
+class Straight(Controller):
     """A controller without loops: it moves the middle of the cloud to the middle of the arm, and lets go there."""
 
-    def reset(self, observation: Mapping[str, Any]) -> None:
-        self.reason = ""
-        self._away = np.inf
-
     def act(self, observation: Mapping[str, Any]) -> Any:
+        """Return a step towards the arm."""
         line = np.asarray(observation["target"], np.float64)
         way = (line[-3] + line[-2]) / 2 - np.asarray(observation["points"], np.float64).mean(axis=0)
         arrived = np.linalg.norm(way) < 0.03
-        self._away = float(np.linalg.norm(way))
         move = np.clip(0.15 * way / 0.0432, -0.4, 0.4)
         return np.append(np.tile(move, 2), float(arrived)).astype(np.float32)
 
 
-class Learned:
+class Learned(Controller):
     """An agent of Stable-Baselines3 as it comes: PPO, rewarded by linking numbers, for so many steps on seeds below 1000."""
 
     def __init__(self, task: str, steps: int) -> None:
         self._agent = agent(task, steps)
 
+    def act(self, observation: Mapping[str, Any]) -> Any:
+        """Return the agent's action."""
+        return self._agent.predict(dict(observation), deterministic=True)[0]
+
+
+class Script(Controller):
+    """The script, which is given mesh, loop and target: it acts in a twin of the environment."""
+
+    def __init__(self, twin: Any, seed: int) -> None:
+        self._twin = twin
+        self._seed = seed
+
     def reset(self, observation: Mapping[str, Any]) -> None:
-        self.reason = ""
+        """Begin the same episode in the twin."""
+        self._twin.reset(seed=self._seed)
 
     def act(self, observation: Mapping[str, Any]) -> Any:
-        return self._agent.predict(dict(observation), deterministic=True)[0]
+        """Return what the script does in the twin."""
+        action = self._twin.unwrapped.scripted_action()
+        self._twin.step(action)
+        return action
 
 
 class Starts(gymnasium.Wrapper):
@@ -144,7 +166,8 @@ class Starts(gymnasium.Wrapper):
 
 @cache
 def agent(task: str, steps: int) -> Any:
-    from stable_baselines3 import PPO  # pip install '.[rl]'
+    """Return a trained agent; it is trained once for a task."""
+    from stable_baselines3 import PPO  # pip install stable-baselines3
 
     name = "".join(part.capitalize() for part in task.split("-"))
     env = Starts(gymnasium.make(f"topokit/Hang{name}-v1", reward="topological"))
@@ -156,17 +179,12 @@ def agent(task: str, steps: int) -> Any:
 
 def disturbed(task: str, options: dict[str, Any]) -> Any:
     """Return the environment of a task with the disturbances of a scene."""
-    options = dict(options)
-    faults = options.pop("faults", None)
-    release = options.pop("release", None)
-    fence = options.pop("fence", None)
-    env: Any = Pushed(task, place="anywhere", max_steps=300, **options)
-    if faults is not None:
-        env = Faults(env, **faults)
-    if release is not None:
-        env = Release(env, release)
-    if fence is not None:
-        env = Fence(env, fence)
+    wrappers = {"faults": lambda env, faults: Faults(env, **faults), "release": Release, "fence": Fence}
+    own = {name: value for name, value in options.items() if name not in wrappers}
+    env: Any = Pushed(task, place="anywhere", max_steps=300, **own)
+    for name, wrapper in wrappers.items():
+        if name in options:
+            env = wrapper(env, options[name])
     return env
 
 
@@ -180,28 +198,41 @@ def run(task: str, who: str, scene: str, seed: int, steps: int = 0) -> Any:
         return foreseen(task, seed, options, how)
     env = disturbed(task, options)
     if who == "script":
-        return scripted(env, task, seed, options)
-    known = {"straight": Straight(), "random": Random()}
-    if who in known:
-        return hang(env, seed=seed, controller=known[who])
+        twin = disturbed(task, options)
+        try:
+            return hang(env, seed=seed, controller=Script(twin, seed))
+        finally:
+            twin.close()
+    how |= {"max_step": env.unwrapped.max_step, "seed": seed}
     if who == "ppo":
-        return hang(env, seed=seed, controller=Learned(task, steps))
+        controller: Any = Learned(task, steps)
+    else:
+        controller = controller_of(task, who, options.get("fence"), how)
+    return hang(env, seed=seed, controller=controller)
+
+
+def controller_of(task: str, who: str, fence: float | None, how: dict[str, Any]) -> Any:
+    """Return a controller by its name; `how` has pace, delay of the clouds, largest step and seed."""
+    if who == "straight":
+        return Straight()
+    if who == "random":
+        return Random()
     if task.endswith("-mannequin"):
-        return hang(env, seed=seed, controller=PullOver(max_step=env.unwrapped.max_step))
-    # The servo has no forecast; the others plan, or throw over a fence.
-    how |= {"radius": radius(task), "max_step": env.unwrapped.max_step}
+        return PullOver(max_step=how["max_step"])
+    loops = needed(task)
     if who == "servo":
-        return hang(
-            env, seed=seed, controller=Servo(needed(task), radius=how["radius"], cloud_delay=how["cloud_delay"])
-        )
-    forecast: Any = {"hold": Hold()}.get(who)
+        return Servo(loops, radius=radius(task), cloud_delay=how["cloud_delay"])
+
+    # The others plan with a forecast, or throw over a fence.
+    forecast: Any = None
+    if who == "hold":
+        forecast = Hold()
     if who == "motion":
         forecast = Predictor.load(MOTION)
-    if "fence" in options:
-        kind = Rigid if who == "rigid" else Thrower
-        throw = kind(forecast, needed(task), fence=options["fence"], seed=seed, **how)
-        return hang(env, seed=seed, controller=throw)
-    return hang(env, seed=seed, controller=Planner(forecast, needed(task), seed=seed, **how))
+    if fence is None:
+        return Planner(forecast, loops, radius=radius(task), **how)
+    kind = Rigid if who == "rigid" else Thrower
+    return kind(forecast, loops, fence=fence, radius=radius(task), **how)
 
 
 def needed(task: str) -> int:
@@ -227,44 +258,29 @@ def foreseen(task: str, seed: int, options: dict[str, Any], how: dict[str, Any])
     return result
 
 
-def scripted(env: Any, task: str, seed: int, options: dict[str, Any]) -> Any:
-    """Run the script, which is given mesh, loop and target."""
-    twin = disturbed(task, options)
-
-    class Script:
-        reason = ""
-
-        def reset(self, observation: Mapping[str, Any]) -> None:
-            twin.reset(seed=seed)
-
-        def act(self, observation: Mapping[str, Any]) -> Any:
-            action = twin.unwrapped.scripted_action()
-            twin.step(action)
-            return action
-
-    try:
-        return hang(env, seed=seed, controller=Script())
-    finally:
-        twin.close()
-
-
 def cause(task: Task, result: Any) -> str:
     """Return why a hanging failed, by which loops were around the target's centre line when it ended or was let go."""
-    episode = result.episode
-    last = int(result.episode.held.sum()) - 1
-    wanted = {*task.wanted(episode.named_loops)}
-    around = {name for name, loop in episode.named_loops.items() if holds(episode, last, loop)}
-    enough = wanted <= around if task.all_loops else bool(wanted & around)
     if result.success:
         return ""
     if "stretched" in result.reason:
         return "torn"
+    episode = result.episode
+    last = int(result.episode.held.sum()) - 1
+    wanted = {*task.wanted(episode.named_loops)}
+    around = {name for name, loop in episode.named_loops.items() if holds(episode, last, loop)}
+    found = wanted & around
+    is_enough = found == wanted if task.all_loops else bool(found)
+
+    # It was never let go, or too early, or it fell later.
     if episode.held.all():
-        lost = "are seen" in result.reason
-        return "never let go" if enough else "loop not seen" if lost else "did not get around"
-    if enough:
+        if is_enough:
+            return "never let go"
+        return "loop not seen" if "are seen" in result.reason else "did not get around"
+    if is_enough:
         return "fell after it was let go"
-    return "another loop" if around - wanted and not wanted & around else "let go too early"
+    if around and not found:
+        return "another loop"
+    return "let go too early"
 
 
 def holds(episode: Episode, frame: int, loop: Any) -> bool:
@@ -276,6 +292,7 @@ def holds(episode: Episode, frame: int, loop: Any) -> bool:
 
 
 def main() -> None:
+    """Run the episodes that are missing, and print a line for every task, scene and controller."""
     parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
     parser.add_argument("--tasks", nargs="+", default=TASKS)
     parser.add_argument("--who", nargs="+", choices=WHO, default=["straight", "servo", "carry", "motion"])
@@ -288,19 +305,24 @@ def main() -> None:
     parser.add_argument("--films", type=Path, help="a folder for the episodes of those that failed")
     parser.add_argument("--out", type=Path, default=Path("book/results/hanging.json"))
     options = parser.parse_args()
-    rows = json.loads(options.out.read_text())["episodes"] if options.out.exists() else []
+    rows = []
+    if options.out.exists():
+        rows = json.loads(options.out.read_text())["episodes"]
     done = {(row["task"], row["who"], row["scene"], row["seed"]) for row in rows}
     seeds = range(options.seed, options.seed + options.starts)
     todo = [(t, w, s, n) for n in seeds for s in options.scenes for t in options.tasks for w in options.who]
     for task, who, scene, seed in tqdm([one for one in todo if one not in done], unit="episode"):
         began = time.perf_counter()
         result = run(task, who, scene, seed, options.steps)
-        rows.append({"task": task, "who": who, "scene": scene, "seed": seed, "success": result.success})
-        rows[-1] |= {"frames": result.steps, "reason": result.reason, "linked": list(result.linked)}
-        rows[-1] |= {"cause": cause(KNOWN[task], result)} | ({"learned_for": options.steps} if who == "ppo" else {})
+        row = {"task": task, "who": who, "scene": scene, "seed": seed, "success": result.success}
+        row |= {"frames": result.steps, "reason": result.reason, "linked": list(result.linked)}
+        row["cause"] = cause(KNOWN[task], result)
+        if who == "ppo":
+            row["learned_for"] = options.steps
+        row["decision_ms"] = round(1000 * result.seconds_a_decision, 1)
         if options.films and not result.success:
             save_episode(options.films / f"{task} {who} {scene} {seed}.npz".replace("/", " per "), result.episode)
-        rows[-1] |= {"decision_ms": round(1000 * result.seconds_a_decision, 1), "seconds": time.perf_counter() - began}
+        rows.append(row | {"seconds": time.perf_counter() - began})
         with atomic_file(options.out) as file:
             file.write(json.dumps({"command": "python book/experiments/hanging.py", "episodes": rows}).encode())
     show(rows)
@@ -313,7 +335,9 @@ def show(rows: list[dict[str, Any]]) -> None:
         hung = [row["frames"] for row in mine if row["success"]]
         interval = binomtest(len(hung), len(mine)).proportion_ci(method="wilson")
         share = f"{len(hung):3d} of {len(mine):3d} ({100 * interval.low:3.0f} to {100 * interval.high:3.0f} %)"
-        frames = f"{np.median(hung):4.0f} frames" if hung else ""
+        frames = ""
+        if hung:
+            frames = f"{np.median(hung):4.0f} frames"
         causes = Counter(row["cause"] for row in mine if row.get("cause"))
         print(f"{key[0]:26} {key[1]:16} {key[2]:9} {share} {frames}", *(f"{n} {why}," for why, n in causes.items()))
 

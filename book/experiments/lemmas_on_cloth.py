@@ -10,8 +10,6 @@ episodes seen by cameras, and with --observed, a farthest-point sample of the fi
 Lengths are metres. A minute or two an episode of 96 frames and 550 vertices.
 """
 
-from __future__ import annotations
-
 import argparse
 import json
 import math
@@ -51,18 +49,6 @@ class StepCheck:
     checks: dict[str, Any]  #: by statement, in the paper's order
 
 
-@dataclass(frozen=True)
-class Jump:
-    """How far the places of one loop are apart in two clouds, in the unit of the points."""
-
-    loop: int  #: index in the first diagram
-    length: float  #: of the killer edge in the first, twice the death: what the distances are large or small against
-    edge: float  #: Hausdorff distance of the killer edges' end points
-    triangle: float  #: Hausdorff distance of the thick killer triangles' vertices
-    barycentre: float  #: distance of the thick killer triangles' barycentres
-    cycle: float  #: distance of the centroids of tight cycles at birth
-
-
 def verify_episode(points: np.ndarray, observed: np.ndarray, stride: int = 1) -> list[StepCheck]:
     """Check all statements on every step of a sequence, one fewer than the frames looked at: every stride-th.
 
@@ -82,16 +68,17 @@ def step_check(frame: int, points: np.ndarray, checks: dict[str, Any]) -> StepCh
     diagram = rips_persistence(points)
     check = checks["corollary"]
     return StepCheck(
-        frame,
-        check.alpha,
-        check.epsilon,
-        check.distortion,
-        float(diagram.lifetime[0]) if len(diagram) else 0.0,
-        float(diagram.death[0]) if len(diagram) else 0.0,
-        largest_bound(checks["recovering killers"], "paper"),
-        (largest_bound(check, "corrected") - check.epsilon) / 2,
-        (largest_bound(check, "intrinsic") - check.epsilon) / 2,
-        checks,
+        frame=frame,
+        alpha=check.alpha,
+        epsilon=check.epsilon,
+        distortion=check.distortion,
+        lifetime=float(diagram.lifetime.max(initial=0.0)),
+        death=float(diagram.death[:1].max(initial=0.0)),
+        beta_all=largest_bound(checks["recovering killers"], "paper"),
+        # The corollary's bound is 2 beta + epsilon.
+        beta_critical=(largest_bound(check, "corrected") - check.epsilon) / 2,
+        beta_intrinsic=(largest_bound(check, "intrinsic") - check.epsilon) / 2,
+        checks=checks,
     )
 
 
@@ -100,44 +87,42 @@ def largest_bound(check: Any, version: str) -> float:
     return max((row.bounds[version] for row in check.loops if version in row.bounds), default=float("nan"))
 
 
-def killer_jumps(before: np.ndarray, after: np.ndarray) -> list[Jump]:
-    """Measure how stable the places of the loops are that an optimal matching of two clouds pairs, longest lifetime first."""
+def killer_jump(before: np.ndarray, after: np.ndarray) -> dict[str, float]:
+    """Return how far each place of the longest-lived loop jumps from one cloud to the next, as shares of its killer's length.
+
+    It is empty where an optimal matching of the two diagrams leaves the loop out.
+    """
     first = rips_persistence(before)
     second = rips_persistence(after)
-    jumps = []
-    for i, j in enumerate(lemmas.match_diagrams(first, second).partner.tolist()):
-        if j < 0:
-            continue
-        thick = before[first.killer_triangles[i, 0]]
-        thick_after = after[second.killer_triangles[j, 0]]
-        centroid = curve_centroid(before[first.cycle(i)])
-        centroid_after = curve_centroid(after[second.cycle(j)])
-        jumps.append(
-            Jump(
-                loop=i,
-                length=2 * float(first.death[i]),
-                edge=hausdorff(before[first.killer_edge[i]], after[second.killer_edge[j]]),
-                triangle=hausdorff(thick, thick_after),
-                barycentre=float(np.linalg.norm(thick.mean(axis=0) - thick_after.mean(axis=0))),
-                cycle=float(np.linalg.norm(centroid - centroid_after)),
-            )
-        )
-    return jumps
+    partner = lemmas.match_diagrams(first, second).partner
+    if not len(partner) or partner[0] < 0:
+        return {}
+    j = partner[0]
+    length = 2 * first.death[0]
+    thick = before[first.killer_triangles[0, 0]]
+    thick_after = after[second.killer_triangles[j, 0]]
+    centroid = curve_centroid(before[first.cycle(0)])
+    centroid_after = curve_centroid(after[second.cycle(j)])
+    distances = {
+        "edge": hausdorff(before[first.killer_edge[0]], after[second.killer_edge[j]]),
+        "triangle": hausdorff(thick, thick_after),
+        "barycentre": np.linalg.norm(thick.mean(axis=0) - thick_after.mean(axis=0)),
+        "cycle": np.linalg.norm(centroid - centroid_after),
+    }
+    return {place: float(distance / length) for place, distance in distances.items()}
 
 
-def find_episodes(places: list[Path]) -> list[Path]:
-    """Return all episodes among files and folders, sorted."""
-    found = [path for place in places for path in (sorted(place.glob("*.npz")) if place.is_dir() else [place])]
-    episodes = [path for path in found if not path.name.endswith(".tracks.npz")]
-    if not episodes:
-        raise FileNotFoundError(
-            f"no episode (.npz) in {', '.join(map(str, places))}; record one with: topokit simulate"
-        )
-    return episodes
+def recorded(places: list[Path]) -> Iterator[tuple[str, Episode]]:
+    """Yield the episodes among files and folders, by their names."""
+    for place in places:
+        paths = sorted(place.glob("*.npz")) or [place]
+        for path in paths:
+            if not path.name.endswith(".tracks.npz"):
+                yield path.name, load_episode(path)
 
 
 def of_dataset(folder: Path, each: int) -> Iterator[tuple[str, Episode]]:
-    """Return the first `each` tested episodes of every garment, by the names of their tasks and their numbers."""
+    """Yield the first `each` tested episodes of every garment, by the names of their tasks and their numbers."""
     dataset = Dataset(folder)
     tested = [dataset.record(i) for i in dataset.split()["test"]]
     for garment in dataset.garments:
@@ -155,16 +140,23 @@ def observe(episode: Episode, n_observed: int | None) -> tuple[np.ndarray, str]:
 
 def observed_ids(points: np.ndarray, seen: np.ndarray, t: int) -> np.ndarray:
     """Return the ids of the vertices that are observed at frame t."""
-    now = seen if seen.ndim == 1 else seen[t]
-    if now.ndim == 1:
-        return now
-    return np.unique(cKDTree(points).query(now)[1])
+    now = seen
+    if seen.ndim > 1:
+        now = seen[t]
+    # Where coordinates are observed, the nearest vertices are meant.
+    if now.ndim > 1:
+        now = np.unique(cKDTree(points).query(now)[1])
+    return now
 
 
-def jumps(name: str, before: np.ndarray, after: np.ndarray) -> dict[str, float]:
-    """Return how far the longest-lived loop's places jump, as shares of its killer's length; empty when it is not matched."""
-    found = [jump for jump in killer_jumps(before, after) if jump.loop == 0]
-    return {f"jump_{what}_{name}": getattr(j, what) / j.length for j in found for what in PLACES}
+def jumps(points: np.ndarray, seen: np.ndarray, frame: int, later: int) -> dict[str, float]:
+    """Return how far the longest-lived loop's places jump in a step, among the vertices and among those that are observed."""
+    now, then = (points[t].astype(float) for t in (frame, later))
+    ids, ids_then = (observed_ids(points[t], seen, t) for t in (frame, later))
+    found = {}
+    for name, before, after in (("states", now, then), ("observations", now[ids], then[ids_then])):
+        found |= {f"jump_{place}_{name}": jump for place, jump in killer_jump(before, after).items()}
+    return found
 
 
 def jump_shares(rows: list[dict[str, Any]]) -> dict[str, dict[str, float | int]]:
@@ -188,12 +180,16 @@ def row(garment: str, step: StepCheck) -> dict[str, Any]:
         "bottleneck_observations": step.checks["gates"].corrected.statistic,
         "observability": step.checks["observability"].corrected.statistic,
     }
-    return {"garment": garment, "frame": step.frame} | {name: short(x) for name, x in (numbers | shifts).items()}
+    return {"garment": garment, "frame": step.frame, **numbers, **shifts}
 
 
-def short(x: float) -> float | None:
-    """Round to four digits; None for what is not a number."""
-    return float(f"{x:.4g}") if math.isfinite(x) else None
+def short(x: Any) -> Any:
+    """Round a float to four digits; None for what is not a number."""
+    if not isinstance(x, float):
+        return x
+    if not math.isfinite(x):
+        return None
+    return float(f"{x:.4g}")
 
 
 def distributions(steps: list[StepCheck]) -> dict[str, dict[str, float | int | None]]:
@@ -202,8 +198,10 @@ def distributions(steps: list[StepCheck]) -> dict[str, dict[str, float | int | N
     for name in MEASURES:
         values = np.array([getattr(step, name) for step in steps])
         values = values[np.isfinite(values)]
-        quantiles = np.percentile(values, QUANTILES) if len(values) else [math.nan] * len(QUANTILES)
-        table[name] = {f"{q}%": short(float(x)) for q, x in zip(QUANTILES, quantiles, strict=True)} | {"n": len(values)}
+        quantiles = [math.nan] * len(QUANTILES)
+        if len(values):
+            quantiles = np.percentile(values, QUANTILES).tolist()
+        table[name] = {f"{q}%": short(x) for q, x in zip(QUANTILES, quantiles, strict=True)} | {"n": len(values)}
     return table
 
 
@@ -239,35 +237,38 @@ def main() -> int:
     parser.add_argument("--stride", type=int, default=1, help="look at every stride-th frame (default 1)")
     parser.add_argument("--observed", type=int, metavar="N", help="observe N vertices instead of what was recorded")
     options = parser.parse_args()
+    films = recorded(options.places)
+    places = " ".join(place.name for place in options.places)
+    if options.dataset:
+        films = of_dataset(options.dataset, options.each)
+        places = f"--dataset runs/{options.dataset.name} --each {options.each}"
+    command = f"python book/experiments/lemmas_on_cloth.py {places} --stride {options.stride}"
+    if options.observed:
+        command += f" --observed {options.observed}"
+
+    # Check every step of every film.
     by_garment: dict[str, list[StepCheck]] = {}
     rows = []
     listed = []
-    films = ((path.name, load_episode(path)) for path in find_episodes(options.places))
-    for name, episode in of_dataset(options.dataset, options.each) if options.dataset else films:
+    for name, episode in films:
         seen, how = observe(episode, options.observed)
         print(f"{name}: {episode.garment}, {len(episode)} frames, {how}", file=sys.stderr)
         steps = verify_episode(episode.points, seen, options.stride)
         by_garment.setdefault(episode.garment, []).extend(steps)
-        looked_at = range(0, len(episode), options.stride)
-        for step, later in zip(steps, looked_at[1:], strict=True):
-            now, then = (episode.points[t].astype(float) for t in (step.frame, later))
-            ids, ids_then = (observed_ids(episode.points[t], seen, t) for t in (step.frame, later))
-            moved = jumps("states", now, then) | jumps("observations", now[ids], then[ids_then])
-            rows.append(row(episode.garment, step) | {key: short(x) for key, x in moved.items()})
+        for step in steps:
+            moved = jumps(episode.points, seen, step.frame, step.frame + options.stride)
+            rows.append({key: short(x) for key, x in (row(episode.garment, step) | moved).items()})
         listed.append({"file": name, "garment": episode.garment, "steps": len(steps), "observed": how})
+
+    # Tables over all steps, and over those of each garment.
     everything = [step for steps in by_garment.values() for step in steps]
-    places = " ".join(place.name for place in options.places)
-    if options.dataset:
-        places = f"--dataset runs/{options.dataset.name} --each {options.each}"
-    command = f"python book/experiments/lemmas_on_cloth.py {places} --stride {options.stride}"
-    command += f" --observed {options.observed}" if options.observed else ""
     answer = {
         "command": command,
         "unit": "m",
         "episodes": listed,
         "statements": shares(everything),
         "killers_jump": jump_shares(rows),
-        "distributions": {"all": distributions(everything)} | {g: distributions(s) for g, s in by_garment.items()},
+        "distributions": {name: distributions(steps) for name, steps in {"all": everything, **by_garment}.items()},
         "steps": {name: [r.get(name) for r in rows] for name in dict.fromkeys(key for r in rows for key in r)},
     }
     options.out.parent.mkdir(parents=True, exist_ok=True)

@@ -17,10 +17,7 @@ Source: Allan et al., *trackpy*; Fukai and Kawaguchi 2023, *LapTrack*; Thomas et
 Soler et al. 2018, *Lifted Wasserstein matcher for fast and robust topology tracking*. Taught in chapter 8.
 """
 
-from __future__ import annotations
-
 import argparse
-import contextlib
 import json
 import platform
 import time
@@ -33,12 +30,12 @@ from types import SimpleNamespace
 from typing import Any, NamedTuple
 
 import numpy as np
+import pandas as pd
 from numpy.typing import NDArray
 from scipy.optimize import linear_sum_assignment
 from scipy.spatial.distance import cdist
-from tables import write_results
-from tqdm import tqdm
-from tracking import pack, simulated, total, unpack, version, weights_of, with_intervals
+from tables import in_page, write_results
+from tracking import pack, resumed, simulated, total, unpack, version, weights_of, with_intervals
 
 import topokit as tk
 from topokit.evaluate import TrackingScore, compare, score, true_loops
@@ -50,9 +47,9 @@ from _tracking_clouds import Clouds, conditions
 ROOT = Path(__file__).parents[2]
 RESULTS = ROOT / "book" / "results" / "linkers.json"
 PAGE = ROOT / "book" / "benchmark.md"
-MARKS = ("<!-- python book/experiments/linkers.py --page -->", "<!-- until here -->")
 TOGETHER = "all together"
 SEEDS = {"tuning": range(100, 103), "episodes": range(3)}
+PLACE = ["x", "y", "z"]
 DROPPED = -1  # identity of a bar that a linker leaves out
 DEFAULT = "seqPH"
 PAPER = "seqPH, the paper's"
@@ -93,20 +90,17 @@ Ids = list[NDArray[np.int64]]
 Linker = Callable[[list[Bars]], Ids]
 
 
-def table_of_bars(frames: list[Bars]) -> Any:
-    """Return a table with a row for each bar: x, y, z, frame, and its number among the bars of all frames."""
-    import pandas as pd
-
-    places = np.concatenate([bars.centre for bars in frames]).reshape(-1, 3)
-    table = pd.DataFrame(places, columns=list("xyz"))
-    table["frame"] = np.repeat(np.arange(len(frames)), [len(bars.centre) for bars in frames])
-    table["bar"] = np.arange(len(table))
-    return table
-
-
-def by_frame(frames: list[Bars], ids: NDArray[np.int64]) -> Ids:
-    """Return identities of all bars, divided by frames."""
-    return np.split(ids, np.cumsum([len(bars.centre) for bars in frames])[:-1])
+def linked(frames: list[Bars], link: Callable[[pd.DataFrame], pd.Series]) -> Ids:
+    """Return identities by frames; `link` gets a row for each bar, and returns identities by rows."""
+    counts = [len(bars.centre) for bars in frames]
+    table = pd.DataFrame(np.concatenate([bars.centre for bars in frames]), columns=PLACE)
+    table["frame"] = np.repeat(np.arange(len(frames)), counts)
+    table["bar"] = table.index
+    ids = np.full(len(table), DROPPED)
+    if len(table):
+        found = link(table)
+        ids[found.index] = found
+    return np.split(ids, np.cumsum(counts)[:-1])
 
 
 def trackpy_link(frames: list[Bars], reach: float, memory: int) -> Ids:
@@ -118,38 +112,33 @@ def trackpy_link(frames: list[Bars], reach: float, memory: int) -> Ids:
     from trackpy.linking.utils import SubnetOversizeException
 
     trackpy.quiet()
-    table = table_of_bars(frames)
-    ids = np.full(len(table), DROPPED)
-    if len(table):
-        with contextlib.suppress(SubnetOversizeException):
-            found = trackpy.link(
-                table,
-                reach,
-                pos_columns=list("xyz"),
-                t_column="frame",
-                memory=memory,
-                adaptive_stop=0.01,
-                adaptive_step=0.7,
-            )
-            ids[found["bar"].to_numpy()] = found["particle"].to_numpy()
-    return by_frame(frames, ids)
+    options = {"pos_columns": PLACE, "t_column": "frame", "adaptive_stop": 0.01, "adaptive_step": 0.7}
+
+    def link(table: pd.DataFrame) -> pd.Series:
+        try:
+            found = trackpy.link(table, reach, memory=memory, **options)
+        except SubnetOversizeException:
+            found = pd.DataFrame({"bar": [], "particle": []}, dtype=int)
+        return found.set_index("bar")["particle"]
+
+    return linked(frames, link)
 
 
 def laptrack_link(frames: list[Bars], reach: float, memory: int) -> Ids:
     """Link by LapTrack: assignments from frame to frame, then of ends to starts over at most `memory` frames."""
     from laptrack import LapTrack
 
-    table = table_of_bars(frames)
-    ids = np.full(len(table), DROPPED)
-    if len(table):
-        linker = LapTrack(
-            cutoff=reach**2,
-            gap_closing_cutoff=reach**2 if memory else False,
-            gap_closing_max_frame_count=max(memory, 1),
-        )
-        found, _, _ = linker.predict_dataframe(table, list("xyz"), frame_col="frame", only_coordinate_cols=False)
-        ids[found["bar"].to_numpy()] = found["track_id"].to_numpy()
-    return by_frame(frames, ids)
+    linker = LapTrack(
+        cutoff=reach**2,
+        gap_closing_cutoff=reach**2 if memory else False,
+        gap_closing_max_frame_count=max(memory, 1),
+    )
+
+    def link(table: pd.DataFrame) -> pd.Series:
+        found, _, _ = linker.predict_dataframe(table, PLACE, frame_col="frame", only_coordinate_cols=False)
+        return found.set_index("bar")["track_id"]
+
+    return linked(frames, link)
 
 
 def stonesoup_link(
@@ -193,13 +182,11 @@ def stonesoup_link(
     def detections() -> Iterator[tuple[datetime, set[Any]]]:
         for number, bars in enumerate(frames):
             when = start + timedelta(seconds=number / 10)
-            yield (
-                when,
-                {
-                    Detection(place[:, None], when, model, metadata={"bar": (number, i)})
-                    for i, place in enumerate(bars.centre)
-                },
-            )
+            found = {
+                Detection(place[:, None], when, model, metadata={"bar": (number, i)})
+                for i, place in enumerate(bars.centre)
+            }
+            yield when, found
 
     tracker = tracker_class(
         initiator=SimpleMeasurementInitiator(prior, model),
@@ -222,11 +209,9 @@ def _bar_of(state: Any, when: datetime) -> tuple[int, int] | None:
     hypothesis = getattr(state, "hypothesis", None)
     if hypothesis is None or state.timestamp != when:
         return None
-    single = hypothesis
     if hasattr(hypothesis, "single_hypotheses"):
-        single = max(hypothesis.single_hypotheses, key=lambda one: one.probability)
-    metadata = getattr(single.measurement, "metadata", {})
-    return metadata.get("bar")
+        hypothesis = max(hypothesis.single_hypotheses, key=lambda one: one.probability)
+    return getattr(hypothesis.measurement, "metadata", {}).get("bar")
 
 
 def chained(frames: list[Bars], pairs_of: Callable[[Bars, Bars], list[tuple[int, int]]]) -> Ids:
@@ -238,9 +223,10 @@ def chained(frames: list[Bars], pairs_of: Callable[[Bars, Bars], list[tuple[int,
         if number and len(now) and len(ids[-1]):
             for before, after in pairs_of(frames[number - 1], bars):
                 now[after] = ids[-1][before]
-        new = now == DROPPED
-        now[new] = count + np.arange(new.sum())
-        count += int(new.sum())
+        # Bars without an earlier one get new identities.
+        new = np.flatnonzero(now == DROPPED)
+        now[new] = count + np.arange(len(new))
+        count += len(new)
         ids.append(now)
     return ids
 
@@ -315,16 +301,12 @@ Asked = tuple[str, str, dict[str, Any]]  # linker, rule, options
 
 def named(frames: list[Bars], ids: Ids) -> list[Any]:
     """Return states with the identities of a linker, without the bars that it leaves out; `compare` reads them."""
-    return [
-        SimpleNamespace(
-            loops=[
-                SimpleNamespace(id=name, centre=place)
-                for name, place in zip(names.tolist(), bars.centre, strict=True)
-                if name != DROPPED
-            ]
-        )
-        for bars, names in zip(frames, ids, strict=True)
-    ]
+    states = []
+    for bars, names in zip(frames, ids, strict=True):
+        pairs = zip(names.tolist(), bars.centre, strict=True)
+        loops = [SimpleNamespace(id=name, centre=place) for name, place in pairs if name != DROPPED]
+        states.append(SimpleNamespace(loops=loops))
+    return states
 
 
 def key_of(linker: str, rule: str = "", options: Mapping[str, Any] | None = None) -> str:
@@ -353,57 +335,56 @@ def row_of(path: Path, part: str, asked: list[Asked], known: dict[str, Any]) -> 
     times: dict[str, float] = known.get("ms", {})
     asked = [one for one in asked if key_of(*one) not in scores]
     unknown = [name for name in OURS if key_of(name) not in scores]
+    rules = {rule for _, rule, _ in asked}
     for condition, clouds, stride in conditions(episode):
-        is_asked = part == "episodes" or condition in TUNED_IN
-        if not is_asked or not (asked or unknown):
+        if part == "tuning" and condition not in TUNED_IN:
             continue
-        rules = {rule for _, rule, _ in asked}
-        diagrams = tk.rips_persistence_many(clouds, 1)
-        clean = [len(inliers(cloud)) == len(cloud) for cloud in clouds]
-        true = truth[::stride]
-
-        def keep(key: str, start: float, states: list[Any], true: Any = true, condition: str = condition) -> None:
+        for key, (states, seconds) in tracked(clouds, asked, unknown, rules).items():
             if condition == TIMED:
-                times[key] = round(1000 * (time.process_time() - start) / len(states), 3)
-            scores.setdefault(key, {})[condition] = pack(score(compare(states, true)))
-
-        # Where isolated points have to be left out, seqPH computes the persistence of the others anew.
-        states: dict[str, list[tk.TopologicalState]] = {}
-        for name in [*unknown, *(REPORTED_BY[rule] for rule in rules if rule in REPORTED_BY)]:
-            if name not in states:
-                given = [True] * len(clouds) if name == PAPER else clean
-                start = time.process_time()
-                states[name] = followed(OURS[name](), clouds, diagrams, given)
-                keep(key_of(name), start, states[name])
-
-        # The bars that linkers get.
-        bars: dict[str, list[Bars]] = {}
-        if "evidence" in rules:
-            states["evidence"] = followed(tk.SeqPH(memory=0, match=lambda _: []), clouds, diagrams, clean)
-        for rule in rules:
-            reported = states[REPORTED_BY.get(rule, rule)]
-            bars[rule] = [bars_of(state, cloud) for state, cloud in zip(reported, clouds, strict=True)]
-        for linker, rule, options in asked:
-            start = time.process_time()
-            ids = LINKERS[linker][0](bars[rule], **options)
-            keep(key_of(linker, rule, options), start, named(bars[rule], ids))
+                times[key] = round(1000 * seconds / len(states), 3)
+            scores.setdefault(key, {})[condition] = pack(score(compare(states, truth[::stride])))
     return {"episode": path.stem, "scores": scores, "ms": times}
+
+
+def tracked(
+    clouds: Clouds, asked: list[Asked], unknown: list[str], rules: set[str]
+) -> dict[str, tuple[list[Any], float]]:
+    """Return by key the states of our own trackers and of linkers in some clouds, and the seconds that they took."""
+    diagrams = tk.rips_persistence_many(clouds, 1)
+    # Where isolated points have to be left out, seqPH computes the persistence of the others anew.
+    clean = [len(inliers(cloud)) == len(cloud) for cloud in clouds]
+    answer: dict[str, tuple[list[Any], float]] = {}
+    states: dict[str, list[tk.TopologicalState]] = {}
+    for name in dict.fromkeys([*unknown, *(REPORTED_BY[rule] for rule in rules if rule in REPORTED_BY)]):
+        given = [True] * len(clouds) if name == PAPER else clean
+        start = time.process_time()
+        states[name] = followed(OURS[name](), clouds, diagrams, given)
+        answer[key_of(name)] = states[name], time.process_time() - start
+
+    # The bars that linkers get.
+    if "evidence" in rules:
+        states["evidence"] = followed(tk.SeqPH(memory=0, match=lambda _: []), clouds, diagrams, clean)
+    bars: dict[str, list[Bars]] = {}
+    for rule in rules:
+        reported = states[REPORTED_BY.get(rule, rule)]
+        bars[rule] = [bars_of(state, cloud) for state, cloud in zip(reported, clouds, strict=True)]
+    for linker, rule, options in asked:
+        start = time.process_time()
+        ids = LINKERS[linker][0](bars[rule], **options)
+        answer[key_of(linker, rule, options)] = named(bars[rule], ids), time.process_time() - start
+    return answer
 
 
 def rows_of(folder: Path, part: str, asked: list[Asked], made: bool) -> list[dict[str, Any]]:
     """Return a row for each film of a part, those of an earlier run included. With `made` no film is simulated."""
-    paths = simulated(folder, SEEDS[part]) if not made else sorted(folder.glob("*_[0-9]*.npz"))
-    kept = folder / "linkers.jsonl"
-    lines = kept.read_text(encoding="utf-8").splitlines() if kept.exists() else []
-    known = {row["episode"]: row for row in map(json.loads, lines)}
+    paths = sorted(folder.glob("*_[0-9]*.npz")) if made else simulated(folder, SEEDS[part])
     wanted = {*(key_of(*one) for one in asked), *(key_of(name) for name in OURS)}
-    for path in tqdm(paths, part, unit="film"):
-        row = known.get(path.stem, {})
-        if not wanted <= row.get("scores", {}).keys():
-            known[path.stem] = row_of(path, part, asked, row)
-            with kept.open("a", encoding="utf-8") as file:
-                file.write(json.dumps(known[path.stem]) + "\n")
-    return [known[path.stem] for path in paths]
+    return resumed(
+        paths,
+        folder / "linkers.jsonl",
+        lambda path, known: row_of(path, part, asked, known),
+        lambda row: wanted <= row["scores"].keys(),
+    )
 
 
 def scores_in(rows: list[dict[str, Any]], key: str, condition: str) -> list[TrackingScore]:
@@ -466,10 +447,12 @@ def against_strangers(lines: dict[str, Any]) -> dict[str, Any]:
         found[condition] = {}
         for measure in ("hota", "idf1"):
             strangers = {label: line[measure] for label, line in of.items() if label not in OURS}
-            best = max((label for label in strangers if not label.endswith(helped)), key=lambda label: strangers[label])
+            given = [strangers.pop(label) for label in list(strangers) if label.endswith(helped)]
+            best = max(strangers, key=lambda label: strangers[label])
             entry = {"seqPH": of[DEFAULT][measure], "best": strangers[best], "stranger": best}
-            given = [value for label, value in strangers.items() if label.endswith(helped)]
-            found[condition][measure] = entry | ({"given_its_loops": max(given)} if given else {})
+            if given:
+                entry["given_its_loops"] = max(given)
+            found[condition][measure] = entry
     return found
 
 
@@ -486,9 +469,8 @@ def tables(results: dict[str, Any]) -> str:
         "|---|---|---|---|---|---|",
     ]
     for label, line in sorted(results["table"][TOGETHER].items(), key=lambda pair: -pair[1]["idf1"]):
-        cells = [
-            "{:.3f} [{:.3f}, {:.3f}]".format(line[name], *line[f"{name}_interval"]) for name in ("idf1", "hota", "mota")
-        ]
+        measures = [(line[name], *line[f"{name}_interval"]) for name in ("idf1", "hota", "mota")]
+        cells = ["{:.3f} [{:.3f}, {:.3f}]".format(*measure) for measure in measures]
         cells += [f"{line['switches']:,}", f"{results['ms_a_frame'][label]:.2g}"]
         text.append(f"| {label} | {' | '.join(cells)} |")
     text += [
@@ -503,17 +485,13 @@ def tables(results: dict[str, Any]) -> str:
         cells = [condition]
         for measure in ("idf1", "hota"):
             one = of[measure]
-            given = f"{one['given_its_loops']:.3f}" if "given_its_loops" in one else ""
-            cells += [f"{one['seqPH']:.3f}", f"{one['best']:.3f}, {one['stranger']}", given]
+            cells += [f"{one['seqPH']:.3f}", f"{one['best']:.3f}, {one['stranger']}"]
+            if "given_its_loops" in one:
+                cells.append(f"{one['given_its_loops']:.3f}")
+            else:
+                cells.append("")
         text.append(f"| {' | '.join(cells)} |")
     return "\n".join(text)
-
-
-def in_page(page: str, results: dict[str, Any]) -> str:
-    """Return a page with the tables between its two marks made anew."""
-    before, rest = page.split(MARKS[0])
-    _, after = rest.split(MARKS[1])
-    return f"{before}{MARKS[0]}\n{tables(results)}\n{MARKS[1]}{after}"
 
 
 def main(arguments: Sequence[str] | None = None) -> None:
@@ -526,7 +504,7 @@ def main(arguments: Sequence[str] | None = None) -> None:
     parser.add_argument("--page", action="store_true", help=f"put the recorded run into {PAGE.name}, and run nothing")
     options = parser.parse_args(arguments)
     if options.page:
-        PAGE.write_text(in_page(PAGE.read_text(), json.loads(RESULTS.read_text())))
+        PAGE.write_text(in_page(PAGE.read_text(), "linkers.py", tables(json.loads(RESULTS.read_text()))))
         return
     if options.tuning is None or options.episodes is None:
         parser.error("--tuning and --episodes are needed")

@@ -21,8 +21,6 @@ validation films. On one core: 1.5 hours of films, half an hour of labels; an ML
 Source: Antonova et al. 2021, section 6 and figure 4. Taught in chapter 15.
 """
 
-from __future__ import annotations
-
 import argparse
 import hashlib
 import json
@@ -31,7 +29,7 @@ from collections.abc import Iterator, Sequence
 from dataclasses import dataclass, replace
 from functools import cached_property, lru_cache
 from pathlib import Path
-from typing import Any
+from typing import Any, Self
 
 import numpy as np
 import pandas as pd
@@ -70,7 +68,7 @@ class Trained:
     folder: Path
 
     @classmethod
-    def of(cls, folder: Path) -> Trained:
+    def of(cls, folder: Path) -> Self:
         """Return what the summary in a folder says."""
         network, films, seed, rate, epochs = folder.name.rsplit("-", 4)
         reached = json.loads((folder / SUMMARY).read_text(encoding="utf-8"))
@@ -133,16 +131,21 @@ class Experiment:
         described = self.protocol["tests"][mesh]
         if "asked" in described:
             return name in described["asked"]
-        return bool(self.protocol["networks"].get(name, {}).get("tested", True))
+        return bool(self.described(name)["tested"])
+
+    def described(self, network: str) -> dict[str, Any]:
+        """Return what the protocol says of a network; a checkpoint of data_small is a Motion."""
+        of_all = {"films": self.protocol["training_films"], "seeds": self.protocol["seeds"], "held_out": ()}
+        of_all |= {"frame": "room", "given": (), "options": {}, "loss": {}, "labels": False, "tested": True}
+        return of_all | self.protocol["networks"].get(network, {"model": "motion"})
 
     def held_out(self, network: str) -> tuple[str, ...]:
         """Return the garments that a network is trained without."""
-        return tuple(self.protocol["networks"][network].get("held_out", ()))
+        return tuple(self.described(network)["held_out"])
 
     def claimed(self, network: str) -> tuple[str, int, list[int]]:
         """Return a network, and the number of films and the seeds of those of its trainings that the claims are about."""
-        described = {"films": self.protocol["training_films"], "seeds": self.protocol["seeds"]}
-        described |= self.protocol["networks"][network]
+        described = self.described(network)
         return network, described["films"], described["seeds"]
 
     # ------------------------------------------------------------------------------------------------------- films and labels
@@ -203,10 +206,6 @@ class Experiment:
         """Return the windows of some films."""
         return _windows(self.folder / "films", tuple(episodes.tolist()), self.shape.points)
 
-    def validation_windows(self) -> WindowDataset:
-        """Return the windows of the validation films."""
-        return self.windows_of(self.training_films(1)[1])
-
     def train(self, network: str, films: int, seed: int, rate: float, epochs: int) -> Trained:
         """Train a network, or go on with it, or return what it reached."""
         out = self.folder / "trainings" / f"{network}-{films}-{seed}-{rate:g}-{epochs}"
@@ -222,52 +221,39 @@ class Experiment:
         print(f"{out.name}: {training.loss:.4f}", flush=True)
         return training
 
-    def is_motion(self, network: str) -> bool:
-        """Return whether a network is a Motion, which learns from scenes and forecasts from whole clouds."""
-        described = self.protocol["networks"].get(network, {"model": "motion"})  # a checkpoint of data_small
-        return bool(described["model"] == "motion")
-
-    def is_told_loops(self, network: str) -> bool:
-        """Return whether a Motion learns how tracked loops moved, and not how vertices did."""
-        return bool(self.protocol["networks"].get(network, {}).get("labels", False))
-
     def seen_by(self, network: str, episodes: NDArray[np.int64]) -> Scenes | Remedied:
-        """Return what a network sees of some films in its training."""
-        if self.is_motion(network):
-            kind = LabelledScenes if self.is_told_loops(network) else Scenes
+        """Return what a network sees of some films in its training: a Motion sees scenes, the others see windows."""
+        described = self.described(network)
+        if described["model"] == "motion":
+            kind = LabelledScenes if described["labels"] else Scenes
             return kind(Dataset(self.folder / "films"), episodes.tolist())
         return self.remedied(network, self.windows_of(episodes))
 
     def remedied(self, network: str, windows: WindowDataset) -> Remedied:
         """Return windows with the remedies of a network."""
-        described = self.protocol["networks"][network]
-        return Remedied(windows, described.get("frame", "room"), tuple(described.get("given", ())))
+        described = self.described(network)
+        return Remedied(windows, described["frame"], tuple(described["given"]))
 
     def training_config(self, network: str, seed: int, rate: float, epochs: int) -> TrainConfig:
         """Return the configuration of a training. It is never stopped early: its rate has to fall to the end."""
-        described = self.protocol["networks"][network]
-        options = dict(described.get("options", {}))
-        more = sum(GIVEN[name] for name in described.get("given", ()))
+        described = self.described(network)
+        options = dict(described["options"])
+        more = sum(GIVEN[name] for name in described["given"])
         if described["model"] == "mlp":
             options["points"] = MLP_POINTS + more
         if described["model"] == "motion":
-            of_scenes = {"shape": Shape(points=160), "patience": epochs, "threads": 1}
-            of_scenes |= described["training"]
-            return TrainConfig("motion", options=options, seed=seed, **of_scenes)
-        return TrainConfig(
-            model=described["model"],
-            options=options,
-            loss=described.get("loss", {}),
-            shape=replace(self.shape, points=self.shape.points + more),
-            seed=seed,
-            batch=self.protocol["batch"],
-            epochs=epochs,
-            windows_per_epoch=self.protocol["epoch"],
-            validation_windows=self.protocol["validation_windows"],
-            patience=epochs,
-            learning_rate=rate,
-            threads=1,
-        )
+            settings = {"shape": Shape(points=160), **described["training"]}
+        else:
+            settings = {
+                "loss": described["loss"],
+                "shape": replace(self.shape, points=self.shape.points + more),
+                "batch": self.protocol["batch"],
+                "epochs": epochs,
+                "windows_per_epoch": self.protocol["epoch"],
+                "validation_windows": self.protocol["validation_windows"],
+                "learning_rate": rate,
+            }
+        return TrainConfig(described["model"], options=options, seed=seed, patience=epochs, threads=1, **settings)
 
     @property
     def trainings(self) -> list[tuple[str, int, list[int]]]:
@@ -293,13 +279,13 @@ class Experiment:
         """
         how = self.protocol["lengths_of"]
         rate = self.rate_of(network)
-        best = None
-        for epochs in self.protocol["lengths"]:
+        first, *others = self.protocol["lengths"]
+        best = self.train(network, how["films"], how["seed"], rate, first)
+        for epochs in others:
             longer = self.train(network, how["films"], how["seed"], rate, epochs)
-            if best is not None and longer.loss > best.loss * (1 - self.protocol["better"]):
+            if longer.loss > best.loss * (1 - self.protocol["better"]):
                 break
             best = longer
-        assert best is not None
         return best.epochs
 
     def train_seeds(self, network: str, films: int, seeds: Sequence[int]) -> None:
@@ -307,7 +293,7 @@ class Experiment:
 
         Where the protocol has both, nothing is searched for.
         """
-        described = self.protocol["networks"][network]
+        described = self.described(network)
         if "training" in described:
             rate = described["training"]["learning_rate"]
             length = described["training"]["epochs"]
@@ -328,17 +314,11 @@ class Experiment:
         """Return the checkpoint of the ridge regression on some films."""
         out = self.folder / "trainings" / f"ridge-{films}"
         if not (out / "best.safetensors").exists():
-            chosen, _ = self.training_films(films)
-            windows = self.windows_of(chosen)
-            config = TrainConfig(
-                model="ridge",
-                shape=self.shape,
-                batch=self.protocol["batch"],
-                windows_per_epoch=60_000,
-                validation_windows=self.protocol["validation_windows"],
-                threads=1,
-            )
-            train(config, out, (windows, self.validation_windows(), _checksum(self.folder / "films", chosen)))
+            chosen, validation = self.training_films(films)
+            options = {"batch": self.protocol["batch"], "validation_windows": self.protocol["validation_windows"]}
+            config = TrainConfig("ridge", shape=self.shape, windows_per_epoch=60_000, threads=1, **options)
+            parts = [self.windows_of(episodes) for episodes in (chosen, validation)]
+            train(config, out, (*parts, _checksum(self.folder / "films", chosen)))
         return out / "best.safetensors"
 
     def height(self, films: int) -> float:
@@ -369,22 +349,20 @@ class Experiment:
         """
         most = self.protocol["training_films"]
         names = ["seqph", *(f"seqph_{points}_points" for points in self.shown_points), "hold", "carry"]
-        found = [Asked(name) for name in names]
-        found += [Asked("blind", most), Asked("ridge", most)]
+        found = [*map(Asked, names), Asked("blind", most), Asked("ridge", most)]
         for network, films, seeds in self.trainings:
-            is_of_curve = films != self.claimed(network)[1]
-            if part != "validation" and is_of_curve:
+            if part != "validation" and films != self.claimed(network)[1]:
                 continue
             for seed, training in sorted(self.ended(network, films).items()):
                 if seed in seeds:
                     checkpoint = training.folder / "best.safetensors"
                     found.append(Asked(network, films, seed, checkpoint, self.held_out(network)))
         for seed, checkpoint in enumerate(self.protocol["motion"]):
-            for name in self.protocol.get("tiers", ["motion"]):
-                found.append(Asked(name, 0, seed, CHECKPOINTS / f"{checkpoint}.safetensors"))
-        return [
-            asked for asked in found if part == "validation" or self.is_tested(asked.name, part.removeprefix("test_"))
-        ]
+            path = CHECKPOINTS / f"{checkpoint}.safetensors"
+            found += [Asked(name, 0, seed, path) for name in self.protocol.get("tiers", ["motion"])]
+        if part == "validation":
+            return found
+        return [asked for asked in found if self.is_tested(asked.name, part.removeprefix("test_"))]
 
     def forecaster(self, asked: Asked, windows: WindowDataset) -> Forecaster:
         """Return a forecaster; seqPH is asked about the frame itself."""
@@ -397,12 +375,13 @@ class Experiment:
         if asked.name == "ridge":
             return of_windows(Predictor.load(self.ridge(asked.films)).model)
         predictor = Predictor.load(asked.checkpoint)
-        if self.is_motion(asked.name):
-            # A Motion that learnt how loops move cannot move a cloud.
-            is_fast = asked.name == "motion_fast" or self.is_told_loops(asked.name)
-            exact = () if is_fast else HORIZONS
-            return turned(of_stream(predictor, windows, exact), 0)
-        return self.remedied(asked.name, windows).forecaster(predictor.model)
+        described = self.described(asked.name)
+        if described["model"] != "motion":
+            return self.remedied(asked.name, windows).forecaster(predictor.model)
+        exact = HORIZONS
+        if asked.name == "motion_fast" or described["labels"]:
+            exact = ()  # a Motion that learnt how loops move cannot move a cloud
+        return turned(of_stream(predictor, windows, exact), 0)
 
     def forecast(self) -> None:
         """Measure all forecasters on validation films; on test films only when no training of the claims is missing."""
@@ -448,7 +427,8 @@ class Experiment:
         """Return the SHA-256 of the protocol, of the films of each size with their labels, and of those to test on."""
         folder = self.folder / "films"
         protocol = hashlib.sha256(json.dumps(self.protocol, sort_keys=True).encode()).hexdigest()
-        found: dict[str, Any] = {"made_with": made_with(), "protocol": protocol}
+        made_with = {"topokit": topokit.__version__, "torch": torch.__version__, "numpy": np.__version__}
+        found: dict[str, Any] = {"made_with": made_with, "protocol": protocol}
         found["validation"] = _checksum(folder, self.training_films(1)[1])
         for films in sorted(self.sizes):
             found[f"{films} films"] = _checksum(folder, self.training_films(films)[0])
@@ -488,9 +468,8 @@ class Experiment:
                 for garments, samples in self.samples(part):
                     if garments == "all":
                         whole[mesh] = samples
-                    table, differences = table_of(
-                        samples, protocol["training_films"], protocol["extrapolated_to"], protocol["curve"]["seed"]
-                    )
+                    curve = protocol["extrapolated_to"], protocol["curve"]["seed"]
+                    table, differences = table_of(samples, protocol["training_films"], *curve)
                     tables.append(table.assign(setting=setting, mesh=mesh, garments=garments))
                     claims[f"{garments}, {mesh} mesh"] = differences
             before, after = protocol.get("lost_between", ("", ""))
@@ -501,6 +480,8 @@ class Experiment:
                 write_rows(out.with_name(f"{name}.csv"), pd.concat(tables)[columns], setting)
                 write_entry(out.with_name(f"{name}_claims.json"), claims, setting)
         write_entry(out.with_name(f"{out.stem}_films.json"), self.checksums(), setting)
+
+        # The logs of all trainings.
         logs = []
         for path in sorted((self.folder / "trainings").glob("*/log.csv")):
             log = pd.read_csv(path)
@@ -520,7 +501,9 @@ def write_rows(path: Path, rows: pd.DataFrame, setting: str) -> None:
 
 def write_entry(path: Path, entry: dict[str, Any], setting: str) -> None:
     """Write what a setting has to a JSON object of all settings."""
-    known = json.loads(path.read_text(encoding="utf-8")) if path.exists() else {}
+    known = {}
+    if path.exists():
+        known = json.loads(path.read_text(encoding="utf-8"))
     write_results(path, known | {setting: entry})
 
 
@@ -532,11 +515,6 @@ def save_samples(path: Path, samples: pd.DataFrame) -> None:
     aside = path.with_suffix(".part")
     samples[columns].round(5).to_csv(aside, index=False)
     aside.replace(path)
-
-
-def made_with() -> dict[str, str]:
-    """Return the versions that films and weights depend on."""
-    return {"topokit": topokit.__version__, "torch": torch.__version__, "numpy": np.__version__}
 
 
 @lru_cache(4)
@@ -575,7 +553,7 @@ def main(arguments: Sequence[str] | None = None) -> None:
         tuple(options.sizes or [protocol["training_films"], *protocol["curve"]["films"]]),
         tuple(options.networks or protocol["networks"]),
     )
-    steps = {
+    stages = {
         "films": experiment.make_films,
         "labels": experiment.label_films,
         "trainings": experiment.train_all,
@@ -583,10 +561,10 @@ def main(arguments: Sequence[str] | None = None) -> None:
         "forecasts": experiment.forecast,
         "table": lambda: experiment.tabulate(options.out),
     }
-    for stage in STAGES:
+    for stage, run in stages.items():
         if stage in options.stages:
             print(f"-- {stage}", flush=True)
-            steps[stage]()
+            run()
 
 
 if __name__ == "__main__":

@@ -2,13 +2,11 @@
 
     python book/experiments/predictors.py --json book/results/predictors.json
 
-Forecasts: 60 steps from the recorded apron, by freshly drawn weights (which cost what trained ones do) or by checkpoints.
+Forecasts: 60 steps from the recorded apron, by freshly drawn weights, which cost what trained ones do.
 *observe* takes in the next frame; *one plan* is everything after that until the 60 states are there; *plans* is the same for
 many plans at once; *exact* is one plan with the loops sought anew in the moved cloud, 1, 15, 30 and 60 frames ahead. Beside it:
 the loops of that frame by seqPH, ripser.py and GUDHI. Times are of the processor (one core, one thread), medians of `--repeat`.
 """
-
-from __future__ import annotations
 
 import argparse
 import json
@@ -18,6 +16,7 @@ import statistics
 import sys
 import time
 from collections.abc import Callable
+from functools import partial
 from importlib.util import find_spec
 from pathlib import Path
 from typing import Any
@@ -35,20 +34,13 @@ from topokit.models import Predictor, TrainConfig, build
 ROOT = Path(__file__).parents[2]
 EPISODE = ROOT / "data_small" / "apron_hook_0.npz"
 NETWORKS = ("mlp", "pointnet", "motion")
-MODELS = ("hold", "carry", "ridge", *NETWORKS)
 Times = dict[str, float]
 
 
-def configured(name: str) -> TrainConfig:
-    """Return the options and the loss of the trained checkpoint, or the defaults where there is none."""
-    path = ROOT / "data_small" / "checkpoints" / f"{name}.json"
-    return TrainConfig.load(path) if path.exists() else TrainConfig(name)
-
-
 def predictor_of(name: str) -> Predictor:
-    """Return the predictor of a model with freshly drawn weights."""
-    how = configured(name)
-    return Predictor.of(build(name, how.shape, options=how.options))
+    """Return a network with the options of its trained checkpoint and freshly drawn weights."""
+    config = TrainConfig.load(ROOT / "data_small" / "checkpoints" / f"{name}.json")
+    return Predictor.of(build(name, config.shape, options=config.options))
 
 
 def timed(function: Callable[[], object], repeat: int, before: Callable[[], object] = int) -> Times:
@@ -88,9 +80,8 @@ def forecasts(predictor: Predictor, plans: int, repeat: int) -> dict[str, Times]
         f"{plans} plans": timed(lambda: predictor.predict(many), max(5, repeat // 4)),
     }
     if hasattr(predictor, "move"):
-        found["exact at four"] = timed(
-            lambda: predictor.predict(actions, exact=(1, 15, 30, 60)), repeat, before=prepare
-        )
+        exact = partial(predictor.predict, actions, exact=(1, 15, 30, 60))
+        found["exact at four"] = timed(exact, repeat, before=prepare)
     return found
 
 
@@ -120,8 +111,6 @@ def topology(repeat: int) -> dict[str, Times]:
 def main() -> int:
     """Measure and print."""
     parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
-    parser.add_argument("--models", nargs="+", choices=list(MODELS), default=list(NETWORKS))
-    parser.add_argument("--checkpoints", type=Path, nargs="*", default=[], metavar="FILE", help="these as well")
     parser.add_argument("--plans", type=int, default=1000)
     parser.add_argument("--repeat", type=int, default=40)
     parser.add_argument("--json", type=Path, help="also write the numbers there")
@@ -129,12 +118,8 @@ def main() -> int:
     if hasattr(os, "sched_setaffinity"):
         os.sched_setaffinity(0, {min(os.sched_getaffinity(0))})
     torch.set_num_threads(1)
-    predictors = {name: predictor_of(name) for name in options.models}
-    predictors |= {path.stem: Predictor.load(path) for path in options.checkpoints}
     answer: dict[str, Any] = {"machine": platform.machine(), "torch": torch.__version__, "cores": 1}
-    answer["forecast"] = {
-        name: forecasts(predictor, options.plans, options.repeat) for name, predictor in predictors.items()
-    }
+    answer["forecast"] = {name: forecasts(predictor_of(name), options.plans, options.repeat) for name in NETWORKS}
     answer["topology"] = topology(options.repeat)
     print(json.dumps(answer, indent=1))
     if options.json:

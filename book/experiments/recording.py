@@ -7,8 +7,6 @@ below. Depths are whole millimetres, with the noise and the lost pixels of a sen
 tracker gets it with no cleaning, with a box, and with all steps (book/_static/recording.png).
 """
 
-from __future__ import annotations
-
 import argparse
 import json
 from pathlib import Path

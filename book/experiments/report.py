@@ -5,8 +5,6 @@
 Takes seconds on any machine; `make book` runs it.
 """
 
-from __future__ import annotations
-
 import argparse
 import html
 import json
@@ -104,14 +102,9 @@ def cell_of(entry: Mapping[str, Any] | None, share: bool) -> str:
     """Return a mean and its interval as words."""
     if not entry or entry["mean"] is None:
         return "-"
-    words = []
-    for side in ("mean", "low", "high"):
-        number = entry.get(side)
-        if number is None:
-            words.append("-")
-        else:
-            words.append(f"{100 * number:.1f}" if share else f"{number:.2f}")
-    return f"{words[0]} [{words[1]}, {words[2]}]"
+    scale, form = (100, "{:.1f}") if share else (1, "{:.2f}")
+    numbers = [entry.get(side) for side in ("mean", "low", "high")]
+    return "{} [{}, {}]".format(*("-" if number is None else form.format(scale * number) for number in numbers))
 
 
 def main() -> None:

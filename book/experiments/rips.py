@@ -8,8 +8,6 @@ more than `--patience`. The floor computes the lengths of all pairs up to the la
     python book/experiments/rips.py --page                           # puts that file into book/speed.md
 """
 
-from __future__ import annotations
-
 import argparse
 import json
 import os
@@ -31,6 +29,8 @@ import numpy as np
 import topokit as tk
 
 sys.path.append(str(Path(__file__).parent))
+from tables import in_page
+
 import _rips_clouds as clouds
 import _rips_peers
 import _rips_tables
@@ -195,14 +195,16 @@ def main() -> int:
     options = parser.parse_args()
     if options.page:
         page = ROOT / "book" / "speed.md"
-        page.write_text(_rips_tables.in_page(page.read_text(), json.loads(RESULTS.read_text())))
+        found = _rips_tables.tables(json.loads(RESULTS.read_text()))
+        page.write_text(in_page(page.read_text(), "rips.py", found))
         return 0
     if hasattr(os, "sched_setaffinity"):
         os.sched_setaffinity(0, {min(os.sched_getaffinity(0))})
     race = Race(options.repeat, options.patience)
     if missing := set(_rips_peers.NAMES) - set(race.peers):
         print(f"not installed: {', '.join(sorted(missing))}", file=sys.stderr)
-    _rips_peers.compile_ours()
+    # Compile topokit's kernel for points and for matrices.
+    _rips_peers.ours(np.random.default_rng(0).random((2000, 2)), is_matrix=False)
     _rips_peers.ours(clouds.projective_plane(1000), is_matrix=True)
     command = " ".join(["python", "book/experiments/rips.py", *sys.argv[1:]])
     for name in options.rows:

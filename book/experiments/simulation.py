@@ -7,8 +7,6 @@ one run; seconds an episode by garment and resolution; success and rejection by 
 95 % confidence intervals.
 """
 
-from __future__ import annotations
-
 import argparse
 import dataclasses
 import json
@@ -80,11 +78,7 @@ def recorded(folder: Path) -> list[dict[str, Any]]:
     seconds = {row["episode"]: row["seconds"] for row in map(json.loads, lines)}
     rows = []
     for record in dataset.records:
-        row: dict[str, Any] = {
-            "task": record.task,
-            "seed": record.episode,
-            "seconds": seconds.get(record.episode, math.nan),
-        }
+        row = {"task": record.task, "seed": record.episode, "seconds": seconds.get(record.episode, math.nan)}
         if record.status == "ok":
             row |= {"success": record.success, "vertices": dataset[record.episode].points.shape[1]}
             row |= record.physics["stretch"]

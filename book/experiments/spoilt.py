@@ -1,7 +1,5 @@
 """Clouds with missing points, noise and outliers: what sensors do to clean ones."""
 
-from __future__ import annotations
-
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 

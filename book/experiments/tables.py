@@ -8,8 +8,6 @@ the same films.
 Source: Efron and Tibshirani 1993; for samples in clusters, Davison and Hinkley 1997, section 3.8. Taught in chapter 15.
 """
 
-from __future__ import annotations
-
 import json
 import re
 from collections.abc import Mapping, Sequence
@@ -63,6 +61,12 @@ def bootstrap(samples: pd.DataFrame, columns: list[str], draws: int = 1000, seed
     return pd.concat(totals, axis=1)
 
 
+def quotient(totals: pd.DataFrame, top: str, bottom: str) -> tuple[pd.DataFrame, pd.DataFrame]:
+    """Return one column over another in all draws, and the other: (draws, model and step) each."""
+    below = totals.xs(bottom, axis=1, level=2)
+    return totals.xs(top, axis=1, level=2) / below.where(below > 0), below
+
+
 def interval(values: pd.DataFrame) -> pd.DataFrame:
     """Return the `mean` (row 0) of each column, and the `low` and `high` end of the middle 95 % of the other rows."""
     ends = values.iloc[1:].replace([np.inf, -np.inf], np.nan).quantile([0.025, 0.975])
@@ -78,3 +82,12 @@ def write_results(path: str | Path, results: Mapping[str, Any]) -> None:
     aside = path.with_name(f".{path.name}.part")
     aside.write_text(f"{text}\n", encoding="utf-8")
     aside.replace(path)
+
+
+def in_page(page: str, script: str, tables: str) -> str:
+    """Return a page whose tables, between the two marks of a script of this folder, are made anew."""
+    mark = f"<!-- python book/experiments/{script} --page -->"
+    end = "<!-- until here -->"
+    before, rest = page.split(mark)
+    _, after = rest.split(end, maxsplit=1)
+    return f"{before}{mark}\n{tables}\n{end}{after}"

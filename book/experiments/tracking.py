@@ -7,8 +7,6 @@ and its row is appended to scores.jsonl beside it. The table pools the episodes;
 samples of episodes. With --clips a few frames around some failures are saved for the book.
 """
 
-from __future__ import annotations
-
 import argparse
 import dataclasses
 import json
@@ -75,9 +73,7 @@ matchings; the default."""
 PAPER = "paper, alpha guessed"
 GIVEN = "paper, alpha given"  # its parameters are of the film and the condition, see `true_parameters`
 RECOMMENDED = "default"
-WITH_MEMORY = (
-    "default, with a memory"  # of the cloud: what one camera sees now and saw before, and what it looks through
-)
+WITH_MEMORY = "default, with a memory"  # of the cloud: what a camera sees now and saw before, and what it looks through
 MAIN = (PAPER, GIVEN, "yesterday's", RECOMMENDED)  # the others are in some conditions alone
 SEVERAL = (PAPER, GIVEN, *list(TRACKERS)[1:])
 COMPARED = ("all vertices", "every 4th frame", "250 points", "noise of 5 mm", "one camera")
@@ -100,15 +96,9 @@ def simulated(folder: Path, seeds: Iterable[int]) -> list[Path]:
     for task, seed in tqdm(wanted, "films", unit="film"):
         path = folder / f"{task}_{seed}.npz"
         if not path.exists() and not path.with_suffix(".rejected").exists():
+            options = {"randomisation": Randomisation(), "cameras": [CAMERA], "n_observed": SEEN, "time_limit": 600}
             try:
-                episode = simulate(
-                    task=task,
-                    seed=seed,
-                    randomisation=Randomisation(),
-                    cameras=[CAMERA],
-                    n_observed=SEEN,
-                    time_limit=600,
-                )
+                episode = simulate(task=task, seed=seed, **options)
             except SimulationError as error:
                 path.with_suffix(".rejected").write_text(str(error))
             else:
@@ -187,16 +177,9 @@ def failures(episode: str, condition: str, tracker: str, overlaps: list[Overlap]
         if event.kind != "switch" and run and run["last"] == (event.frame - 1) * stride:
             run["last"] = event.frame * stride
             continue
-        running[key] = {
-            "episode": episode,
-            "condition": condition,
-            "tracker": tracker,
-            "kind": event.kind,
-            "first": event.frame * stride,
-            "last": event.frame * stride,
-            "loop": event.loop,
-            "id": event.id,
-        }
+        running[key] = {"episode": episode, "condition": condition, "tracker": tracker, "kind": event.kind}
+        running[key] |= {"first": event.frame * stride, "last": event.frame * stride}
+        running[key] |= {"loop": event.loop, "id": event.id}
         found.append(running[key])
     return found
 
@@ -302,6 +285,7 @@ def score_of(row: dict[str, Any], condition: str, tracker: str) -> TrackingScore
 
 
 def interval(values: np.ndarray) -> list[float]:
+    """Return the middle 95 % of some values."""
     return np.percentile(values, [2.5, 97.5]).round(4).tolist()
 
 
@@ -312,35 +296,14 @@ def total(scores: list[TrackingScore]) -> TrackingScore:
 
 def summary(rows: list[dict[str, Any]]) -> dict[str, Any]:
     """Return all tables of the book."""
-    garments = sorted({garment_of(row) for row in rows})
+    garments = {name: [row for row in rows if garment_of(row) == name] for name in sorted(set(map(garment_of, rows)))}
     return {
         "episodes": [row["episode"] for row in rows],
         "scores": pooled(rows),
         "exact": {name: table_of(total([unpack(row["exact"][name]) for row in rows])) for name in rows[0]["exact"]},
-        "by_garment": {
-            garment: {
-                condition: {
-                    tracker: table_of(total([unpack(row["scores"][condition][tracker]) for row in mine]))
-                    for tracker in trackers
-                }
-                for condition, trackers in mine[0]["scores"].items()
-            }
-            for garment in garments
-            for mine in [[row for row in rows if garment_of(row) == garment]]
-        },
+        "by_garment": {garment: lines_of(mine) for garment, mine in garments.items()},
         "thresholds": thresholds(rows),
-        "jumps": {
-            garment: {
-                name: {
-                    identity: np.sum(
-                        [row["jumps"][name][identity] for row in rows if garment_of(row) == garment], axis=0
-                    ).tolist()
-                    for identity in rows[0]["jumps"][name]
-                }
-                for name in rows[0]["jumps"]
-            }
-            for garment in garments
-        },
+        "jumps": {garment: added_jumps(mine) for garment, mine in garments.items()},
         "given": {
             name: {key: median_of(row["given"][name][key] for row in rows) for key in rows[0]["given"][name]}
             for name in rows[0]["given"]
@@ -353,6 +316,24 @@ def summary(rows: list[dict[str, Any]]) -> dict[str, Any]:
 def median_of(values: Iterable[float]) -> float:
     """Return the median of some numbers of films."""
     return round(float(np.median(list(values))), 4)
+
+
+def lines_of(rows: list[dict[str, Any]]) -> dict[str, Any]:
+    """Return a line without intervals for each condition and tracker."""
+    answer = {}
+    for condition, trackers in rows[0]["scores"].items():
+        scores = {name: [unpack(row["scores"][condition][name]) for row in rows] for name in trackers}
+        answer[condition] = {name: table_of(total(some)) for name, some in scores.items()}
+    return answer
+
+
+def added_jumps(rows: list[dict[str, Any]]) -> dict[str, dict[str, list[int]]]:
+    """Return the steps and the far jumps of some episodes together, by condition and place."""
+    answer = {}
+    for condition, places in rows[0]["jumps"].items():
+        counts = {name: [row["jumps"][condition][name] for row in rows] for name in places}
+        answer[condition] = {name: np.sum(some, axis=0).tolist() for name, some in counts.items()}
+    return answer
 
 
 def listed(failures: list[dict[str, Any]]) -> dict[str, Any]:
@@ -368,10 +349,9 @@ def listed(failures: list[dict[str, Any]]) -> dict[str, Any]:
 
 def table_of(result: TrackingScore) -> dict[str, Any]:
     """Return a line without intervals."""
-    shares = {
-        "precision": result.matches / max(result.detections, 1),
-        "recall": result.matches / max(result.objects, 1),
-    }
+    # Shares of what is detected, and of what is there.
+    precision = result.matches / max(result.detections, 1)
+    shares = {"precision": precision, "recall": result.matches / max(result.objects, 1)}
     shares |= {name: getattr(result, name) for name in MEASURES}
     counted = {name: int(getattr(result, name)) for name in COUNTS}
     return counted | {name: round(float(value), 4) for name, value in shares.items()}
@@ -383,22 +363,18 @@ def thresholds(rows: list[dict[str, Any]]) -> dict[str, Any]:
     for condition, trackers in rows[0]["levels"].items():
         answer[condition] = {}
         for tracker in trackers:
-            objects, detections, matches, switches, right = np.sum(
-                [row["levels"][condition][tracker] for row in rows], axis=0
-            ).T
+            added = np.sum([row["levels"][condition][tracker] for row in rows], axis=0)
+            objects, detections, matches, switches, right = added.T
             mota = 1 - (objects + detections - 2 * matches + switches) / objects
-            answer[condition][tracker] = {
-                "mota": mota.round(4).tolist(),
-                "idf1": (2 * right / (objects + detections)).round(4).tolist(),
-            }
+            idf1 = 2 * right / (objects + detections)
+            answer[condition][tracker] = {"mota": mota.round(4).tolist(), "idf1": idf1.round(4).tolist()}
     return answer
 
 
 def where(rows: list[dict[str, Any]], condition: str) -> dict[str, float]:
     """Return where the matches of a condition are."""
-    metres, radii, outside = (
-        np.concatenate([row["places"][condition][name] for row in rows]) for name in ("metres", "radii", "outside")
-    )
+    names = ("metres", "radii", "outside")
+    metres, radii, outside = (np.concatenate([row["places"][condition][name] for row in rows]) for name in names)
     return {
         "matches": len(metres),
         "median_mm": round(1000 * float(np.median(metres)), 1),
@@ -409,17 +385,29 @@ def where(rows: list[dict[str, Any]], condition: str) -> dict[str, float]:
 
 
 def garment_of(row: dict[str, Any]) -> str:
+    """Return the garment of an episode or a failure."""
     return row["episode"].split("-")[0]
 
 
-def scored(paths: list[Path], results: Path) -> list[dict[str, Any]]:
-    """Return a row for each episode. Rows that are in the file already are kept: delete it after a change of the code."""
-    lines = results.read_text().splitlines() if results.exists() else []
+def resumed(
+    paths: list[Path],
+    results: Path,
+    row_of: Callable[[Path, dict[str, Any]], dict[str, Any]],
+    is_whole: Callable[[dict[str, Any]], bool] = bool,
+) -> list[dict[str, Any]]:
+    """Return a row for each episode, from a file where it is there and whole, and else computed and appended to the file.
+
+    `row_of` gets the episode and what is known of its row. Delete the file after a change of the code.
+    """
+    lines = []
+    if results.exists():
+        lines = results.read_text(encoding="utf-8").splitlines()
     known = {row["episode"]: row for row in map(json.loads, lines)}
-    for path in tqdm(paths, "tracking", unit="film"):
-        if path.stem not in known:
-            known[path.stem] = row_of(path)
-            with results.open("a") as file:
+    for path in tqdm(paths, results.stem, unit="film"):
+        row = known.get(path.stem, {})
+        if not row or not is_whole(row):
+            known[path.stem] = row_of(path, row)
+            with results.open("a", encoding="utf-8") as file:
                 file.write(json.dumps(known[path.stem]) + "\n")
     return [known[path.stem] for path in paths]
 
@@ -439,10 +427,12 @@ def telling(failures: list[dict[str, Any]]) -> list[dict[str, Any]]:
     chosen: list[dict[str, Any]] = []
     for what in SHOWN:
         found = [one for one in failures if (one["kind"], one["condition"], one["tracker"]) == what]
-        garments = {garment_of(one) for one in chosen}
-        found.sort(
-            key=lambda one: (garment_of(one) in garments, one["first"] - one["last"], one["episode"], one["first"])
-        )
+        shown = {garment_of(one) for one in chosen}
+
+        def rank(one: dict[str, Any], shown: set[str] = shown) -> tuple[Any, ...]:
+            return garment_of(one) in shown, one["first"] - one["last"], one["episode"], one["first"]
+
+        found.sort(key=rank)
         chosen += found[:1]
     return chosen
 
@@ -472,9 +462,8 @@ def clip(folder: Path, failure: dict[str, Any], path: Path, around: int = 3) -> 
 
 def version() -> str:
     """Return the commit that made the rows, when there is one."""
-    done = subprocess.run(
-        ["git", "describe", "--always", "--dirty"], cwd=Path(__file__).parent, capture_output=True, text=True
-    )
+    command = ["git", "describe", "--always", "--dirty"]
+    done = subprocess.run(command, cwd=Path(__file__).parent, capture_output=True, text=True)
     return done.stdout.strip() or "unknown"
 
 
@@ -487,12 +476,10 @@ def main() -> None:
     parser.add_argument("--clips", type=Path, help="folder for a few frames around some failures")
     options = parser.parse_args()
     paths = simulated(options.episodes, range(options.seeds))
-    rows = scored(paths, options.episodes / "scores.jsonl")
-    command = (
-        f"python book/experiments/tracking.py --episodes DIR --seeds {options.seeds} --out book/results/tracking.json"
-    )
+    rows = resumed(paths, options.episodes / "scores.jsonl", lambda path, _: row_of(path))
+    command = f"python book/experiments/tracking.py --episodes DIR --seeds {options.seeds}"
     answer = {
-        "command": command,
+        "command": f"{command} --out book/results/tracking.json",
         "made_with": {"topokit": version(), "machine": platform.machine()},
         "memory": MEMORY,
         "recommended": RECOMMENDED,

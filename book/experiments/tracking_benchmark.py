@@ -10,8 +10,6 @@ conditions to FILMS/condition/film.npz: an episode whose observed points are wha
 (frames from 0, metres); a film without a file has no tracks. The page *A benchmark of trackers* has the rules.
 """
 
-from __future__ import annotations
-
 import argparse
 from collections.abc import Iterator, Sequence
 from pathlib import Path
