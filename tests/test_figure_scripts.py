@@ -53,16 +53,11 @@ def acts_of_edges(cloud: np.ndarray) -> list:
     for degree, (birth, death) in enumerate([("", "joins"), ("begins", "kills"), ("void", "")]):
         for pair in reduced.pairs(degree):
             if pair.birth_edge != pair.killer_edge:
-                if birth:
-                    acts[pair.birth_edge] = birth
-                if death:
-                    acts[pair.killer_edge] = death
+                acts |= {edge: act for edge, act in ((pair.birth_edge, birth), (pair.killer_edge, death)) if act}
     rows = []
-    for simplex in reduced.simplices:
-        if len(simplex.vertices) == 2:
-            x, y = simplex.vertices
-            components = lune_components(joined_before(cloud, x, y), x, y)
-            rows.append([x, y, acts.get((x, y), "nothing"), [component.tolist() for component in components]])
+    for x, y in (simplex.vertices for simplex in reduced.simplices if len(simplex.vertices) == 2):
+        components = lune_components(joined_before(cloud, x, y), x, y)
+        rows.append([x, y, acts.get((x, y), "nothing"), [component.tolist() for component in components]])
     return rows
 
 
@@ -215,16 +210,15 @@ RULE_SCRIPTS = [*PLACES, "assign.js", "seqph.js", "rules.js"]
 def spoilt_clouds() -> list[np.ndarray]:
     """Return rings and sheets with a stray point near and far or with repeated points, and clouds of all densities."""
     rng = np.random.default_rng(0)
-    clouds = []
+    grid = np.stack(np.meshgrid(np.arange(6.0), np.arange(7.0)), axis=-1).reshape(-1, 2)
+    two = np.vstack([polygon(24, 2.0), polygon(24, 2.1) + [5.0, 0.0]])
+    clouds = [grid + rng.normal(0, 0.1, grid.shape), two + rng.normal(0, 0.05, two.shape)]
     for n in (5, 12, 30, 50):
         clouds += [polygon(n, 2.0) + rng.normal(0, 0.05, (n, 2)), rng.uniform(-2, 2, (n, 2))]
-    grid = np.stack(np.meshgrid(np.arange(6.0), np.arange(7.0)), axis=-1).reshape(-1, 2)
-    clouds.append(grid + rng.normal(0, 0.1, grid.shape))
-    clouds.append(np.vstack([polygon(24, 2.0), polygon(24, 2.1) + [5.0, 0.0]]) + rng.normal(0, 0.05, (48, 2)))
     places = [[0.0, 0.0], [2.3, 0.0], [4.0, 1.0], [7.0, -3.0], [40.0, 0.0]]
-    spoilt = [np.vstack([cloud, [place]]) for cloud in clouds for place in places]
-    spoilt += [rng.standard_t(2, (30, 2)) for _ in range(20)]
-    return spoilt + [np.vstack([cloud, cloud[:5], [[9.0, 9.0], [9.0, 9.0]]]) for cloud in clouds]
+    spoilt = [np.vstack([cloud, place]) for cloud in clouds for place in places]
+    spoilt += [np.vstack([cloud, cloud[:5], [[9.0, 9.0], [9.0, 9.0]]]) for cloud in clouds]
+    return spoilt + [rng.standard_t(2, (30, 2)) for _ in range(20)]
 
 
 def test_both_rules_keep_the_loops_that_the_tracker_keeps():

@@ -31,15 +31,8 @@ SCORES = ["assign.js", "scores.js"]
 
 def overlap_of(frame: dict) -> Overlap:
     shape = (len(frame["objects"]), len(frame["ids"]))
-    ids = np.array([ord(name) if isinstance(name, str) else name for name in frame["ids"]], int)
-    return Overlap(np.array(frame["objects"], int), ids, np.array(frame["similarity"], float).reshape(shape))
-
-
-def assert_scored_alike(answers: list, films: list) -> None:
-    for answer, frames in zip(answers, films, strict=True):
-        ours = score([overlap_of(frame) for frame in frames])
-        expected = [getattr(ours, name) for name in MEASURES]
-        np.testing.assert_allclose(answer, expected, atol=1e-12)
+    objects, ids = (np.array(frame[name], int) for name in ("objects", "ids"))
+    return Overlap(objects, ids, np.array(frame["similarity"], float).reshape(shape))
 
 
 def test_films_are_scored_as_by_topokit():
@@ -56,7 +49,9 @@ def test_films_are_scored_as_by_topokit():
         if any(frame["objects"] for frame in frames):
             films.append(frames)
     answers = by_script(SCORES, SCORE, films)
-    assert_scored_alike(answers, films)
+    for answer, frames in zip(answers, films, strict=True):
+        ours = score([overlap_of(frame) for frame in frames])
+        np.testing.assert_allclose(answer, [getattr(ours, name) for name in MEASURES], atol=1e-12)
     assert sum(answer[1] for answer in answers) > 100  # switches
 
 
@@ -131,32 +126,23 @@ FIELD = """({ ring, line, closed, places }) => {
   const field = fieldOf(ring, line, closed);
   return places.map(([y, z]) => [field.around(y, z), field.guide(y, z), field.gap(y, z)]);
 }"""
-GUIDE = ["link.js", "guide.js"]
-
-
-def scene(**more: object) -> dict:
-    closed = close_far(LINE)
-    return {"ring": CLOSED_RING.tolist(), "line": LINE.tolist(), "closed": closed.tolist(), **more}
-
-
-def guide_of(ring: np.ndarray, *, linked: bool) -> float:
-    """Return the guide of the chapter."""
-    rim = ring[ring[:, 2].argmax()]
-    seat = (LINE[-3] + LINE[-2]) / 2
-    over = LINE[-1] + [0, 0, 0.06]
-    return np.linalg.norm(rim - seat) if linked else np.linalg.norm(rim - over) + np.linalg.norm(over - seat)
 
 
 def test_the_guide_of_a_place_is_the_chapters():
     rng = np.random.default_rng(4)
     places = rng.uniform([-0.3, 0.9], [0.6, 1.6], (300, 2))
-    [answer] = by_script(GUIDE, FIELD, [scene(places=places.tolist())])
+    given = {"ring": CLOSED_RING, "line": LINE, "closed": close_far(LINE), "places": places}
+    scene = {name: values.tolist() for name, values in given.items()}
+    [answer] = by_script(["link.js", "guide.js"], FIELD, [scene])
+    seat = (LINE[-3] + LINE[-2]) / 2
+    over = LINE[-1] + [0, 0, 0.06]
     linked = 0
     for place, (around, guide, gap) in zip(places, answer, strict=True):
-        rim = CLOSED_RING[CLOSED_RING[:, 2].argmax()]
-        ring = CLOSED_RING + [0, *(place - rim[1:])]
+        rim = np.array([0, *place])
+        ring = CLOSED_RING + rim - CLOSED_RING[CLOSED_RING[:, 2].argmax()]
         assert around == (linking_number(ring, close_far(LINE)) != 0)
-        assert guide == pytest.approx(guide_of(ring, linked=around))
+        way = [rim, seat] if around else [rim, over, seat]
+        assert guide == pytest.approx(np.linalg.norm(np.diff(way, axis=0), axis=1).sum())
         fine = np.concatenate([np.linspace(a, b, 2000) for a, b in pairwise(LINE)])
         assert gap == pytest.approx(cdist(ring, fine).min(), abs=1e-3)
         linked += around
