@@ -148,22 +148,6 @@ def test_seams_are_the_border_and_the_sharp_folds_of_cloth_at_rest():
     assert length_of(1, *roof(), at_rest=False) == pytest.approx(border)
 
 
-def test_the_shadow_is_fainter_the_higher_the_cloth_hangs():
-    points, _ = sheet()
-    low, high, below = (_looks.shadow(points + [3, 0, z], seen_from_above=True) for z in (-0.4, 0.1, -1.4))
-    np.testing.assert_allclose(low[0].mean(axis=(0, 1)), [3.2, 0, 0], atol=1e-9)
-    assert low[1] > high[1] > 0
-    assert len(below[0]) == 0  # z = 0 is not its floor
-
-
-def test_a_fold_is_light_on_the_side_of_the_lamp():
-    figure = plt.figure(figsize=(2, 2.4), dpi=100)
-    view.plot_cloth(*roof(), ax=figure.add_axes((0, 0, 1, 1), projection="3d"), view=(-90.0, 0.0))
-    figure.canvas.draw()
-    pixels = np.asarray(figure.canvas.buffer_rgba())[..., :3].mean(axis=2)
-    assert np.median(pixels[90:150, 60:95]) > np.median(pixels[90:150, 105:140]) + 10
-
-
 def test_the_player_holds_the_episode_and_the_loops_of_each_frame(episode, states):
     data = page_data(view.player(episode, states))
     arrays = {name: unpack(packed) for name, packed in data["arrays"].items()}

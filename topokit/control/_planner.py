@@ -209,22 +209,22 @@ class Planner(Servo):
         cycles, rims = self._curves()
         frames = np.minimum(_GUIDE_FRAMES + self._age, _GUIDE_FRAMES[-1])
         # Begin with a guess and with the rest of the last plan.
-        kept = self._guess(arm, rim, linked)[None]
+        best = self._guess(arm, rim, linked)[None]
         spread = np.array(options.spread)
         if self._last is not None:
             later = np.minimum(_KNOTS[1:] + options.replan_every, _KNOTS[-1])
             rest = self._last(later) - self._last(options.replan_every)
-            kept = np.concatenate([kept, rest[None]])
+            best = np.concatenate([best, rest[None]])
         # Draw paths about the best, keep the best of them, and draw again with half the spread.
         for _ in range(options.rounds):
-            about = kept[self._random.integers(len(kept), size=options.plans - len(kept))]
-            paths = np.concatenate([kept, about + spread * self._random.normal(size=about.shape)])
+            about = best[self._random.integers(len(best), size=options.plans - len(best))]
+            paths = np.concatenate([best, about + spread * self._random.normal(size=about.shape)])
             goals = self._goals_of(paths, rim)
             places = self._moved(goals, np.concatenate([rims, *cycles]))[:, frames]
             order = np.argsort(self._mean_guide(places, cycles, len(rims), arm, linked))[: options.best]
-            kept = paths[order]
+            best = paths[order]
             spread = spread / 2
-        self._last = _through(kept[0])
+        self._last = _through(best[0])
         return np.asarray(goals[order[0]])
 
     def _guess(self, arm: Arm, rim: Array, linked: bool) -> Array:

@@ -155,8 +155,8 @@ def events(overlaps: Sequence[Overlap], threshold: float = THRESHOLD) -> Iterato
         objects = overlap.objects.tolist()
         ids = overlap.ids.tolist()
         # A kept match gains more than all similarities together.
-        kept = [[current.get(loop) == identity for identity in ids] for loop in objects]
-        gain = overlap.similarity + 1000 * np.reshape(kept, (len(objects), len(ids)))
+        matched_before = [[current.get(loop) == identity for identity in ids] for loop in objects]
+        gain = overlap.similarity + 1000 * np.reshape(matched_before, (len(objects), len(ids)))
         pairs = greatest(np.where(_reaches(overlap.similarity, threshold), gain, 0))
         matched = {objects[row]: ids[column] for row, column in pairs}
 

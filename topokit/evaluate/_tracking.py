@@ -187,11 +187,11 @@ def compare(
     overlaps = []
     for true, state in zip(truth, states, strict=True):
         table = similarity(true, state)
-        objects = np.flatnonzero(true.present)
         # Take out detections that fit a true loop which is not present, in the matching of greatest similarity.
-        fit = np.where(table >= THRESHOLD, table, 0)
-        aside = [column for row, column in greatest(fit) if not true.present[row]]
-        kept = np.setdiff1d(np.arange(len(state.loops)), aside)
+        pairs = greatest(np.where(table >= THRESHOLD, table, 0))
+        absent = [column for row, column in pairs if not true.present[row]]
+        columns = np.setdiff1d(np.arange(len(state.loops)), absent)
+        objects = np.flatnonzero(true.present)
         ids = np.array([loop.id for loop in state.loops], dtype=np.int64)
-        overlaps.append(Overlap(objects, ids[kept], table[np.ix_(objects, kept)]))
+        overlaps.append(Overlap(objects, ids[columns], table[np.ix_(objects, columns)]))
     return overlaps
