@@ -21,7 +21,6 @@ from typing import Any, NamedTuple
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
-from scipy.interpolate import make_interp_spline
 
 from topokit._geometry import turned
 
@@ -99,6 +98,8 @@ class GripperPath:
     @functools.cached_property
     def _spline(self) -> tuple[Array, Array, Array, Array]:
         """Return the times (k,), and rows (k, 5) of middle, opening and yaw: places, velocities and accelerations."""
+        from scipy.interpolate import make_interp_spline  # a process that only records starts sooner without it
+
         table = self.table
         times = table["time"].copy()
         places = np.column_stack([table["place"], table["opening"], table["yaw"]])

@@ -12,7 +12,6 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
-from scipy.optimize import brentq
 from scipy.sparse import coo_matrix
 from scipy.sparse.csgraph import laplacian
 from scipy.sparse.linalg import spsolve
@@ -50,6 +49,8 @@ class Arch:
     @classmethod
     def of_length(cls, span: float, length: float, name: str = "strap_length") -> Arch:
         """Return the arch over `span` whose arc length is `length`."""
+        from scipy.optimize import brentq  # a process that only records starts sooner without it
+
         fits = 0 < 1.3 * span < length
         demand(fits, f"{name} {length} is too short for a span of {span:.3f} between the middles of its ends")
         steepest = cls(span / 2, 1.25 * span)  # a higher ellipse would be too pointed for a strap of some width
