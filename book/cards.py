@@ -80,21 +80,18 @@ def builds_on(notebook: dict[str, Any]) -> list[int]:
     return numbers
 
 
-def minutes_to_read(notebook: dict[str, Any]) -> tuple[int, int]:
-    """Return the time to read text and visible code without the exercises and with them, rounded to five minutes."""
+def minutes_to_read(notebook: dict[str, Any]) -> int:
+    """Return the time to read text and visible code up to the exercises, rounded to five minutes."""
     minutes = 0.0
-    without = None
     for cell in notebook["cells"]:
-        source = "".join(cell["source"])
-        text, heading, _ = source.partition(EXERCISES)
-        if heading and without is None:
-            without = minutes + len(text.split()) / WORDS_A_MINUTE
+        text, heading, _ = "".join(cell["source"]).partition(EXERCISES)
         if cell["cell_type"] == "markdown":
-            minutes += len(source.split()) / WORDS_A_MINUTE
+            minutes += len(text.split()) / WORDS_A_MINUTE
         elif not HIDDEN & set(cell["metadata"].get("tags", ())):
-            minutes += len(source.splitlines()) / LINES_A_MINUTE
-    short, whole = (max(5, 5 * round(time / 5)) for time in (minutes if without is None else without, minutes))
-    return short, whole
+            minutes += len(text.splitlines()) / LINES_A_MINUTE
+        if heading:
+            break
+    return max(5, 5 * round(minutes / 5))
 
 
 def time_to_run(seconds: float | None) -> str:
@@ -109,10 +106,7 @@ def time_to_run(seconds: float | None) -> str:
 def takes(app: Any, chapter: str) -> str:
     """Return how long a chapter takes to read and to run."""
     seconds = app.env.nb_metadata.get(chapter, {}).get("exec_data", {}).get("runtime")
-    without, whole = minutes_to_read(read(chapter))
-    text = f"{without} min to read"
-    if whole > without:
-        text += f" ({whole} with reading the exercises)"
+    text = f"{minutes_to_read(read(chapter))} min to read"
     if seconds is not None:
         text += f", {time_to_run(seconds)} to run"
     return text

@@ -52,7 +52,7 @@ SEEDS = {"tuning": range(100, 103), "episodes": range(3)}
 PLACE = ["x", "y", "z"]
 DROPPED = -1  # identity of a bar that a linker leaves out
 DEFAULT = "seqPH"
-PAPER = "seqPH, the paper's"
+PAPER = "seqPH, the paper's, alpha guessed"
 OURS: dict[str, Callable[[], tk.SeqPH]] = {
     DEFAULT: tk.SeqPH,
     "seqPH, memory of 20 frames": partial(tk.SeqPH, memory=20),

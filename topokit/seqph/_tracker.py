@@ -5,8 +5,9 @@ the place of its killer edge have moved no more than the sampling (alpha), the m
 allow. The assignment that moves killers least in total hands the identities on. The evidence of the diagram
 and of earlier frames decides which bars are loops (`_evidence`), or, as in the paper, alpha alone.
 
-Source: Antonova et al. 2021, Algorithm 1 and Corollary 1. In the paper's listing the matching is inside the loop over l; it needs
-the whole distance matrix, so it follows both loops here. Taught in chapters 0 and 7.
+Source: Antonova et al. 2021, Algorithm 1 and Corollary 1. The algorithm is given alpha, beta and epsilon; the estimates are ours.
+In its listing the matching is called inside the loop over l. The last call has the whole distance matrix and replaces what the
+calls before it have said, so here it is called once, after both loops. Taught in chapters 0 and 7.
 """
 
 from __future__ import annotations
@@ -37,7 +38,7 @@ if TYPE_CHECKING:
 PAPER: Mapping[str, Any] = MappingProxyType(
     {"loops": "alpha", "gates": "paper", "identity": "killer-edge", "memory": 0}
 )
-"""The options of `SeqPH` that make it the paper's tracker, rule for rule: ``SeqPH.paper()``, ``track(clouds, **PAPER)``."""
+"""The options of `SeqPH` that make it the paper's tracker: ``SeqPH.paper(alpha=...)``, ``track(clouds, alpha=..., **PAPER)``."""
 
 CHOICES = {
     "loops": ("evidence", "alpha"),
@@ -153,10 +154,12 @@ class SeqPH:
 
     @classmethod
     def paper(cls, **options: Any) -> SeqPH:
-        """Return the paper's tracker, rule for rule.
+        """Return the paper's tracker: bars that live alpha are loops, the paper's gates on killer edges, no memory.
 
-        Bars that live alpha are loops, alpha being half the largest distance of a point from its nearest other one, beta the
-        longest killer edge, epsilon the Hausdorff distance of the clouds; the paper's gates on killer edges; no memory.
+        The paper's Algorithm 1 is given alpha, beta and epsilon; pass them where they are known. Each that is not passed is
+        guessed, and the guess is ours, not the paper's: alpha by half the largest distance of a point from its nearest other
+        one, beta by the longest killer edge, epsilon by the Hausdorff distance of the clouds. One stray point makes this
+        alpha too large, and repeated points make it too small.
 
         Parameters
         ----------

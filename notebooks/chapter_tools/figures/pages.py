@@ -360,8 +360,8 @@ def stray(points: ArrayLike, start: Sequence[float], end: Sequence[float]) -> Ht
     """Return an interactive figure of two rules that decide which bars are loops, and of a stray point that spoils one rule.
 
     The bars are beside the cloud, each with the mark that the bar of a loop must reach. The first rule is that of
-    ``SeqPH.paper()`` on all points. The second is the evidence of `topokit.SeqPH` in one frame, on the points that have
-    neighbours. The reader can drag any point.
+    ``SeqPH.paper()``, with a guessed alpha, on all points. The second is the evidence of `topokit.SeqPH` in one frame, on the
+    points that have neighbours. The reader can drag any point.
 
     Parameters
     ----------

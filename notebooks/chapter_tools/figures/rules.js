@@ -4,7 +4,7 @@ function judged({ loops }, judge) { // copies of the loops, each with what its b
   return loops.map((loop) => Object.assign(Object.create(loop), judge(loop)));
 }
 
-function byAlpha(points, complex = rips(points)) { // the paper's: a loop lives as long as half the largest distance of a point from its nearest other one
+function byAlpha(points, complex = rips(points)) { // the paper's, alpha guessed: a loop lives as long as half the largest distance of a point from its nearest other one
   const gaps = placeGaps(flatOf(points), points.length, 2), alpha = Math.max(...gaps) / 2;
   const loops = judged(complex, ({ birth, death }) => ({ needed: birth + alpha, strength: (death - birth) / alpha }));
   return { alpha, cloud: points, loops, kept: loops.filter((l) => l.strength >= 1), loneliest: points[gaps.indexOf(2 * alpha)] };

@@ -1,4 +1,4 @@
-// A stray point and two rules: which bars are loops by the paper's alpha, and which by evidence.
+// A stray point and two rules: which bars are loops by a guessed alpha, and which by evidence.
 // Idea: the state is where the points are; the stray one is the last. Both rules are asked anew whenever a point moves.
 (() => {
   const [scene, ...charts] = [$("scene"), $("paper"), $("evidence")], STEPS = 200, SHOWN = 7;
@@ -75,12 +75,12 @@
   function draw() {
     const [paper, evidence] = rules, out = points.length - evidence.cloud.length;
     const far = Math.min(...data.points.map((_, v) => apart(points[v], points[last])));
-    const said = [`the paper's rule (lifetime / \u03b1): ${count(paper.kept.length, "loop")}`,
+    const said = [`the paper's rule, \u03b1 guessed (lifetime / \u03b1): ${count(paper.kept.length, "loop")}`,
       `evidence (significance): ${count(evidence.kept.length, "loop")}` + (out ? `, ${count(out, "point")} left out` : "")];
     drawScene();
     [0, 1].forEach((k) => drawRule(k, said[k]));
     const strengths = rules.map(({ loops }) => (loops.length ? loops[0].strength.toFixed(2) : "0"));
-    const text = `the stray point is ${show(far)} from its nearest \u00b7 by the paper's rule ${count(paper.kept.length, "loop")}: \u03b1 = ${show(paper.alpha)}, the longest bar lives ${strengths[0]} \u03b1 \u00b7 `
+    const text = `the stray point is ${show(far)} from its nearest \u00b7 by the paper's rule with a guessed \u03b1 ${count(paper.kept.length, "loop")}: \u03b1 = ${show(paper.alpha)}, the longest bar lives ${strengths[0]} \u03b1 \u00b7 `
       + `by evidence ${count(evidence.kept.length, "loop")}: significance of the longest ${strengths[1]}, \u03b1 = ${show(evidence.alpha)}, ${count(out, "point")} left out`;
     tell(text, $("away"), Math.round(STEPS * way));
     describe(scene, `${text}. Drag the stray point or any other, or ${KEYS}`);
