@@ -54,8 +54,8 @@ def true_parameters(episode: Episode, name: str, clouds: Clouds, stride: int) ->
 
     Alpha (Assumption 1) is the covering radius of the scene by the clean observed points, those before noise, stray points and
     repetitions. The scene is all vertices and the midpoints of all edges of the mesh, so that the surface counts. A camera
-    cannot cover what it does not see: there the scene is the pixels of a picture without flaws, and the clean observed points
-    are the farthest-point sample of them.
+    cannot cover what it does not see: there the scene is those of these places that a picture of the cloth alone shows, and
+    the clean observed points are the farthest-point sample of the picture's pixels.
 
     Epsilon (Assumption 2) is the largest displacement of a vertex between two frames that follow each other.
 
@@ -66,24 +66,47 @@ def true_parameters(episode: Episode, name: str, clouds: Clouds, stride: int) ->
     used = episode.points[::stride].astype(float)
     epsilon = float(np.linalg.norm(np.diff(used, axis=0), axis=2).max())
     if name in CAMERAS:
-        return {
-            "alpha": seen_radius(episode, (CAMERA, SECOND) if name == "two cameras" else (CAMERA,)),
-            "epsilon": epsilon,
-        }
-    edges = np.unique(np.sort(episode.faces[:, [[0, 1], [1, 2], [2, 0]]].reshape(-1, 2)), axis=0)
+        return {"alpha": seen_radius(episode, cameras_of(episode, name)), "epsilon": epsilon}
+    edges = edges_of(episode.faces)
     clean = used if name.startswith(SPOILT) else clouds
-    scenes = (np.vstack([frame, frame[edges].mean(axis=1)]) for frame in used)
-    alpha = max(covering_radius(scene, cloud) for scene, cloud in zip(scenes, clean, strict=True))
+    alpha = max(covering_radius(places(frame, edges), cloud) for frame, cloud in zip(used, clean, strict=True))
     return {"alpha": alpha, "epsilon": epsilon}
+
+
+def cameras_of(episode: Episode, name: str) -> tuple[Camera, ...]:
+    """Return the cameras of a condition. The simulator moves the camera of an episode a little, and notes where it is."""
+    if name == "one camera":
+        return tuple(Camera(**camera) for camera in episode.observation["cameras"])
+    return (CAMERA, SECOND) if name == "two cameras" else (CAMERA,)
+
+
+def edges_of(faces: np.ndarray) -> np.ndarray:
+    """Return (m, 2) the edges of a mesh."""
+    return np.unique(np.sort(faces[:, [[0, 1], [1, 2], [2, 0]]].reshape(-1, 2)), axis=0)
+
+
+def places(frame: np.ndarray, edges: np.ndarray) -> np.ndarray:
+    """Return the vertices and the midpoints of the edges."""
+    return np.vstack([frame, frame[edges].mean(axis=1)])
 
 
 @lru_cache(maxsize=2)
 def seen_radius(episode: Episode, cameras: tuple[Camera, ...]) -> float:
-    """Return the largest distance, over all frames, from a pixel without flaws to the sample that is shown of the pixels."""
+    """Return the largest distance, over all frames, from a place that cameras see to the sample of their pixels.
+
+    A place is seen where it is at most 3 cm behind the picture, as in `flawed`. The pixels themselves would not do for the scene:
+    where there are fewer than `SEEN` of them the sample has them all, and the gaps between pixels would count as observed.
+    """
+    edges = edges_of(episode.faces)
     radii = []
     for frame in episode.points.astype(float):
-        pixels = looked_at(frame, episode.faces, cameras)
-        radii.append(tk.farthest_point_sample(pixels, min(SEEN, len(pixels)))[1])
+        scene = places(frame, edges)
+        is_seen = np.zeros(len(scene), dtype=bool)
+        for camera in cameras:
+            image = depth_image(filled(frame, episode.faces), camera)
+            rows, columns, forward = projected(scene, camera, np.array(camera.eye))
+            is_seen |= np.isfinite(image[rows, columns]) & (forward <= image[rows, columns] + 0.03)
+        radii.append(covering_radius(scene[is_seen], seen(frame, episode.faces, cameras)))
     return max(radii)
 
 
@@ -123,14 +146,6 @@ Flaw = Callable[[Camera, Depth, np.ndarray], Depth]
 
 def seen(frame: np.ndarray, faces: np.ndarray, cameras: tuple[Camera, ...], flaw: Flaw | None = None) -> np.ndarray:
     """Return (n, 3) a farthest-point sample of the pixels that cameras have of the cloth."""
-    pixels = looked_at(frame, faces, cameras, flaw)
-    return pixels[tk.farthest_point_sample(pixels, min(SEEN, len(pixels)))[0]]
-
-
-def looked_at(
-    frame: np.ndarray, faces: np.ndarray, cameras: tuple[Camera, ...], flaw: Flaw | None = None
-) -> np.ndarray:
-    """Return (n, 3) the pixels that cameras have of the cloth."""
     surface = filled(frame, faces)
     parts = []
     for camera in cameras:
@@ -138,7 +153,8 @@ def looked_at(
         if flaw is not None:
             depth = flaw(camera, depth, surface)
         parts.append(camera.unproject(depth, np.isfinite(depth)))
-    return np.vstack(parts)
+    pixels = np.vstack(parts)
+    return pixels[tk.farthest_point_sample(pixels, min(SEEN, len(pixels)))[0]]
 
 
 def filled(frame: np.ndarray, faces: np.ndarray, steps: int = 6) -> np.ndarray:
