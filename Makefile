@@ -35,6 +35,7 @@ $(VENV)/ready: requirements.txt requirements-torch.txt pyproject.toml
 	@sed '1,/^# its builds on PyPI/d' requirements-torch.txt >$(VENV)/torch.txt
 	@$(PIP_LOCKED) --no-index --requirement $(VENV)/torch-cpu.txt 2>/dev/null || $(PIP_LOCKED) --requirement $(VENV)/torch.txt
 	@$(BIN)/python -m pip install --quiet --no-deps --no-build-isolation --editable .
+	@$(BIN)/python -m topokit.rips.engine
 	@touch $@
 
 book: env

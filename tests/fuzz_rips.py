@@ -20,7 +20,7 @@ PATHS = ("engine", "plain Python")
 
 def by(path: str, data: np.ndarray, metric: str = "euclidean", max_radius: float = np.inf) -> Diagram:
     """The diagram of a cloud by one of the paths."""
-    with mock.patch.object(_persistence, "_engine_pays", return_value=path == "engine"):
+    with mock.patch.object(_persistence, "engine_is_ready", return_value=path == "engine"):
         return rips_persistence(data, metric=metric, max_radius=max_radius)
 
 

@@ -6,6 +6,7 @@ import os
 import re
 import subprocess
 import sys
+import time
 from pathlib import Path
 
 import numpy as np
@@ -19,7 +20,7 @@ LARGE = """
 import numpy as np
 from topokit import rips_persistence
 
-diagram = rips_persistence(np.random.default_rng(0).random((2500, 2)), max_radius=0.02)
+diagram = rips_persistence(np.random.default_rng(0).random((4000, 2)), max_radius=0.02)
 print(len(diagram), diagram.birth.sum())
 """
 
@@ -40,13 +41,43 @@ def test_the_first_answers_wait_for_no_compiler(tmp_path):
 
 
 @compiled
+def test_another_process_compiles_while_clouds_go_on_in_plain_python(tmp_path):
+    """The first process of a new user computes at once, and says once why it is slow; the second says nothing."""
+    film = """
+import sys, time
+import numpy as np
+from topokit import rips_persistence
+from topokit.rips._engine import engine_is_ready
+
+cloud = np.random.default_rng(0).random((300, 3))
+before = set()
+while not engine_is_ready():
+    before.add(rips_persistence(cloud).death.tobytes())
+print(len(before), before == {rips_persistence(cloud).death.tobytes()})
+"""
+    done = run(film, tmp_path, tmp_path)
+    assert (done.stdout, done.stderr.count("\n")) == ("1 True\n", 1)
+    assert run(film, tmp_path, tmp_path).stderr == ""
+
+
+@compiled
+def test_a_process_that_ends_at_once_leaves_the_engine_for_the_next(tmp_path):
+    short = "import numpy as np, topokit as tk; [tk.rips_persistence(np.random.rand(900, 3)) for _ in range(2)]"
+    assert run(short, tmp_path, tmp_path).returncode == 0
+    deadline = time.monotonic() + 120
+    while not list(tmp_path.rglob("*.nbi")) and time.monotonic() < deadline:
+        time.sleep(0.2)
+    assert run(short, tmp_path, tmp_path).stderr == ""
+
+
+@compiled
 def test_compiled_code_is_in_the_cache_of_the_user_and_nowhere_else(tmp_path):
     """`.numba_config.yaml` in the working directory could name a folder of pickles, or a class that finds one."""
     home, here = tmp_path / "home", tmp_path / "here"
     here.mkdir()
     (here / ".numba_config.yaml").write_text(f"cache_dir: {here / 'cache'}\ncache_locator_classes: evil.Locator\n")
     (here / "evil.py").write_text("open('evil ran', 'w')\nclass Locator: pass\n")
-    known = rips_persistence(np.random.default_rng(0).random((2500, 2)), max_radius=0.02)
+    known = rips_persistence(np.random.default_rng(0).random((4000, 2)), max_radius=0.02)
     for _ in range(2):
         done = run(LARGE, home, here)
         assert done.stdout == f"{len(known)} {known.birth.sum()}\n", done.stderr
@@ -62,7 +93,7 @@ def test_without_numba_every_cloud_is_paired_in_plain_python(tmp_path):
         "import importlib.util as u; find = u.find_spec; u.find_spec = lambda n: None if n == 'numba' else find(n)\n",
     ):
         done = run(
-            block + LARGE.replace("2500", "1900") + "import sys; print('numba' in sys.modules)", tmp_path, tmp_path
+            block + LARGE.replace("4000", "1900") + "import sys; print('numba' in sys.modules)", tmp_path, tmp_path
         )
         answers.append(done.stdout.split("\n"))
     assert answers[0][0] == answers[1][0]

@@ -1,12 +1,10 @@
-"""Degree-1 persistence of one cloud and of many clouds: the choice between plain Python and the engine, and diagrams of pairs."""
+"""Degree-1 persistence of one cloud and of many clouds: pairs of edges, by the engine or in plain Python, become diagrams."""
 
 from __future__ import annotations
 
 import sys
 from collections.abc import Iterator, Sequence
 from concurrent.futures import ThreadPoolExecutor
-from functools import cache
-from importlib.util import find_spec
 
 import numpy as np
 from numpy.typing import ArrayLike
@@ -16,6 +14,7 @@ from .._validate import Array, Ids, as_sequence, positive, whole
 from . import pairing
 from ._cloud import Cloud, check_memory
 from ._diagram import Diagram
+from ._engine import ask_for_engine, engine_is_ready
 
 # A killer edge (0, 1) with its two apexes (2, 3) gives two triangles; that of the second apex is first.
 TRIANGLES = np.array([[0, 1, 3], [0, 1, 2]])
@@ -26,14 +25,14 @@ def rips_persistence(
 ) -> Diagram:
     """Compute the loops of a point cloud: degree-1 Vietoris-Rips persistence, exactly.
 
-    Edges are ordered by (length, smaller index, larger index); this order decides every tie. The first clouds are computed in
-    plain Python. Once they are work for two seconds, numba compiles the engine, or loads it from the user's cache.
+    Edges are ordered by (length, smaller index, larger index); this order decides every tie. The first clouds of a process
+    are computed in plain Python, until numba has loaded the engine, or compiled it in the background.
 
     Parameters
     ----------
     points : (n, d) array_like
-        Coordinates, or with ``metric="precomputed"`` the (n, n) symmetric matrix of distances. One that
-        differs from a symmetric one, or from zero on its diagonal, by rounding is made so.
+        Coordinates, or with ``metric="precomputed"`` the (n, n) symmetric matrix of distances. One that differs from a symmetric
+        one, or from zero on its diagonal, by rounding is made so.
     max_radius : float
         Radius at which the filtration stops; loops that are still alive then get death inf.
     min_lifetime : float
@@ -104,11 +103,11 @@ def _diagrams(clouds: Sequence[Cloud], workers: int, max_radius: float, min_life
     cutoff = positive(max_radius, "max_radius", infinite=True)
     shortest = positive(min_lifetime, "min_lifetime", infinite=True)
     stop = np.zeros(1, np.int64)
-    with_engine = _engine_pays(clouds)
+    ask_for_engine([len(cloud) for cloud in clouds])
 
     def diagram_of(cloud: Cloud) -> Diagram:
         key = cloud.key_of(cutoff)
-        if with_engine and len(cloud) > 3:  # a matrix with three columns would look like points
+        if engine_is_ready() and len(cloud) > 3:  # a matrix with three columns would look like points
             check_memory(len(cloud), is_matrix=cloud.is_matrix)
             from .engine.pairing import pair_edges  # numba is imported here
 
@@ -117,7 +116,7 @@ def _diagrams(clouds: Sequence[Cloud], workers: int, max_radius: float, min_life
 
     # Long work of the engine is done by other threads, so that Ctrl-C, which the main thread alone hears, can end it.
     is_long = sum(len(cloud) ** 2 for cloud in clouds) > 5e5
-    if not (with_engine and is_long):
+    if not (engine_is_ready() and is_long):
         yield from map(diagram_of, clouds)
         return
     size = -(-len(clouds) // (8 * workers))
@@ -156,24 +155,3 @@ def _diagram(cloud: Cloud, loops: tuple[Ids, Ids, Array, Array], cutoff: float, 
         _cloud=cloud,
         _simplices=(created, killed),
     )
-
-
-# The choice -----------------------------------------------------------------------------------------------------------
-
-
-class _Work:
-    """Seconds that the clouds of this process take, or would take, in plain Python."""
-
-    seconds = 0.0
-
-
-def _engine_pays(clouds: Sequence[Cloud]) -> bool:
-    """Return True if numba is there and the clouds so far are work for more than two seconds in plain Python."""
-    for n in map(len, clouds):
-        _Work.seconds += n * n / 2 * (0.6e-6 + 0.4e-9 * n)
-    return _Work.seconds > 2.0 and _has_numba()
-
-
-@cache
-def _has_numba() -> bool:
-    return find_spec("numba") is not None

@@ -16,28 +16,16 @@ The pairs are those of `topokit.rips.pairing` to the last bit. Numba keeps the c
 Source: Koyama, Memoli, Robins, Turner 2023 (the reduced Vietoris-Rips filtration). Read in appendix B.
 """
 
-import hashlib
 import os
-from pathlib import Path
 from typing import Any
 
-
-def _cache_folder() -> str:
-    """Return a folder of the user's cache for the compiled code of these sources.
-
-    Numba compares one source file with its cache, and the engine has several; so the folder is named by all of `rips`.
-    """
-    caches = Path(os.environ.get("XDG_CACHE_HOME", Path.home() / ".cache"))
-    sources = sorted(Path(__file__).parents[1].rglob("*.py"))
-    digest = hashlib.sha256(b"".join(source.read_bytes() for source in sources)).hexdigest()
-    return str(caches / "topokit" / digest[:12])
-
+from .._engine import cache_folder
 
 # A file of settings in the working directory must not decide where code is loaded from; the user's environment may.
-os.environ.setdefault("NUMBA_CACHE_DIR", _cache_folder())
+os.environ.setdefault("NUMBA_CACHE_DIR", cache_folder())
 os.environ.setdefault("NUMBA_CACHE_LOCATOR_CLASSES", "")
 
-from numba import njit  # noqa: E402
+from numba import njit
 
 # Functions that only compiled code calls need no way in from Python, which takes a fifth of the time of compiling.
 _options: Any = {"error_model": "numpy", "no_cfunc_wrapper": True, "no_cpython_wrapper": True}
