@@ -252,6 +252,21 @@ def test_two_similar_loops_contradict_assumption_3():
     assert separation > 4 * nearest
 
 
+@pytest.mark.parametrize("seed", range(5))
+def test_two_loops_of_any_size_contradict_assumption_3(seed):
+    """Two holes of different widths in a sheet, whose deaths are more than alpha apart."""
+    rng = np.random.default_rng(seed)
+    sheet = np.array([(x, y) for x in range(31) for y in range(13)], dtype=float)
+    for middle, radius in ((7, 2), (21, rng.uniform(3.2, 4))):
+        sheet = sheet[np.linalg.norm(sheet - [middle, 6], axis=1) > radius]
+    sheet = sheet + rng.uniform(-0.05, 0.05, sheet.shape)
+    loops = rips_persistence(sheet)
+    for alpha in (0.3, 0.5):  # the grid is connected in steps of 4 alpha
+        assert loops.death[0] - loops.death[1] > alpha
+        assert loops.lifetime[1] > alpha
+        assert lemmas.beta_all(sheet, alpha).max >= hausdorff(*sheet[loops.killer_edge[:2]])
+
+
 def test_converse_speaks_about_two_similar_loops():
     angle = 2 * np.pi * np.arange(24) / 24
     rings = np.vstack([np.column_stack([np.cos(angle) + x, np.sin(angle)]) for x in (0, 25)])

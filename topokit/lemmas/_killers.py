@@ -167,9 +167,9 @@ def converse(
     """Check that observed killers which are close belong to the same loop: the converse of the corollary, which tracking needs.
 
     The paper concludes this when killers in S_t are more than 2 alpha + beta + epsilon apart. Its own Assumption 3 rules that out
-    where loops die within alpha of each other: then their killers are rivals, so within beta. And where loops do not die
-    together, each observed killer may still be off by beta. The killers of other loops are critical edges, too. So only the
-    distance of a critical edge to the nearest killer can be small.
+    in a scene that is connected in steps of 4 alpha and at least four deaths wide: some rival of one loop has an end at the
+    killer of the other, so both killers are within beta. The same holds where two loops die within alpha of each other. The
+    killers of other loops are critical edges, too. So only the distance of a critical edge to the nearest killer can be small.
 
     Corrected: let every critical edge in the window of some loop with a lifetime above alpha + 2 epsilon lie within beta of the
     *nearest* killer of such a loop, and let these killers be more than 4 beta + 2 epsilon apart. Then each observed killer has
