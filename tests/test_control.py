@@ -14,7 +14,8 @@ pytest.importorskip("gymnasium")
 from chapter_tools.dressing import PullOver
 from chapter_tools.throwing import Fence, Thrower
 from topokit._geometry import angle, turned
-from topokit.control import Carried, Planner, Servo, hang
+from topokit.control import Planner, Servo, hang
+from topokit.control._planner import Carried
 from topokit.io import load_episode, save_episode
 from topokit.sim import WARDROBE, HangEnv, Hook, Mannequin
 

@@ -76,8 +76,8 @@ def test_a_score_counts_what_a_generator_yields():
 def test_a_controller_keeps_no_buffer_of_its_caller(episode_path):
     control = pytest.importorskip("topokit.control")
     film = load_episode(episode_path)
-    fresh = control.Planner(control.Carried())
-    reused = control.Planner(control.Carried())
+    fresh = control.Planner()
+    reused = control.Planner()
     buffers = {name: np.zeros(getattr(film, name)[0].shape) for name in ("points", "grippers")}
     for t in range(0, 60, 4):
         new = {name: getattr(film, name)[t].astype(np.float64) for name in buffers}

@@ -12,7 +12,8 @@ import numpy as np
 import pytest
 
 from topokit import SeqPH, TopologicalState, follow, hausdorff, rips_persistence, track
-from topokit.seqph import Candidates, assign
+from topokit.seqph import assign
+from topokit.seqph._matching import Candidates
 
 from conftest import polygon
 

@@ -26,7 +26,7 @@ from numpy.typing import NDArray
 from torch.utils.data import default_collate
 from tqdm import tqdm
 
-from topokit.control import Carried
+from topokit.control._planner import Carried
 from topokit.data import Dataset, WindowDataset, make_episode
 from topokit.models import Predictor, StateTensors, build
 from topokit.sim import Randomisation, SimulationError

@@ -38,7 +38,8 @@ from tables import in_page, write_results
 from tracking import pack, resumed, simulated, total, unpack, version, weights_of, with_intervals
 
 import topokit as tk
-from topokit.evaluate import TrackingScore, compare, score, true_loops
+from topokit.evaluate import compare, score, true_loops
+from topokit.evaluate._scores import TrackingScore
 from topokit.io import load_episode
 from topokit.sampling import inliers
 

@@ -23,7 +23,8 @@ from tables import draw_episodes, write_results
 from tqdm import tqdm
 
 import topokit as tk
-from topokit.evaluate import Overlap, TrackingScore, compare, distance_to_hull, events, score, true_loops
+from topokit.evaluate import Overlap, compare, distance_to_hull, events, score, true_loops
+from topokit.evaluate._scores import TrackingScore
 from topokit.io import Episode, load_episode, save_episode, save_states
 from topokit.linking import curve_centroid
 from topokit.sensors import CloudMemory

@@ -22,7 +22,8 @@ from tqdm import tqdm
 from tracking import MEASURES, film_of, simulated
 
 import topokit as tk
-from topokit.evaluate import TrackingScore, compare, score, true_loops
+from topokit.evaluate import compare, score, true_loops
+from topokit.evaluate._scores import TrackingScore
 from topokit.io import Episode, load_episode, save_episode
 
 from _tracking_clouds import Clouds, conditions

@@ -8,7 +8,8 @@ from typing import Any
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from topokit.seqph import Candidates, SeqPH, TopologicalState, assign
+from topokit.seqph import SeqPH, TopologicalState, assign
+from topokit.seqph._matching import Candidates
 
 
 def by_diagram(loops: Candidates) -> list[tuple[int, int]]:

@@ -6,7 +6,7 @@ from topokit._lazy import attach
 
 if TYPE_CHECKING:
     from ._hang import hang
-    from ._planner import Carried, Planner
+    from ._planner import Planner
     from ._servo import Servo
 
 __getattr__, __dir__, __all__ = attach(__name__, __file__, "sim")

@@ -61,26 +61,11 @@ class Carried:
     def observe(
         self, points: ArrayLike, grippers: ArrayLike, held: bool = True, target: ArrayLike | None = None
     ) -> None:
-        """Take in the next frame, of which this forecast uses the grippers alone.
-
-        Parameters
-        ----------
-        points : (n, 3) array
-        grippers : (2, 3) array
-        held : bool
-        target : array, optional
-        """
+        """Take in the next frame, of which this forecast uses the grippers (2, 3) alone."""
         self._grippers = np.array(grippers, np.float64)
 
     def move(self, actions: ArrayLike, held: ArrayLike | None, points: ArrayLike) -> tuple[Any, Any]:
-        """Return places (C, 60, n, 3) of points under plans, and None for their errors.
-
-        Parameters
-        ----------
-        actions : (C, 60, 2, 3) array
-        held : array, optional
-        points : (n, 3) array
-        """
+        """Return places (C, 60, n, 3) of points (n, 3) under plans (C, 60, 2, 3), and None for their errors."""
         planned = np.asarray(actions, np.float64)
         yaws = _heading(planned) - _heading(self._grippers)
         middle = planned.mean(axis=-2)[..., None, :]
@@ -93,7 +78,8 @@ class Planner(Servo):
     Parameters
     ----------
     forecast : optional
-        A `topokit.models.Predictor` of a model of motion, or an object of one's own with the methods of `Carried`, the default.
+        A `topokit.models.Predictor` of a model of motion, or an object of one's own with its methods `reset`, `observe` and
+        `move`. By default cloth goes with the grippers as a rigid body.
     n_loops : int
         As in `Servo`.
     **options

@@ -12,7 +12,7 @@ from topokit._lazy import attach
 
 if TYPE_CHECKING:
     from ._follow import follow
-    from ._matching import Candidates, assign
+    from ._matching import assign
     from ._state import Loop, TopologicalState
     from ._tracker import PAPER, SeqPH, track
 

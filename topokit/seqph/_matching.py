@@ -34,12 +34,7 @@ class Candidates:
         return birth, death
 
     def subset(self, rows: list[int], columns: list[int]) -> Candidates:
-        """Return the input of a rule that matches only these found and these known loops.
-
-        Parameters
-        ----------
-        rows, columns : lists of int
-        """
+        """Return the input of a rule that matches only these found and these known loops."""
         return Candidates(
             birth=self.birth[rows],
             death=self.death[rows],
