@@ -146,10 +146,17 @@ def test_what_was_half_written_is_swept_and_what_is_missing_is_made_again(undist
     folder = tmp_path / "data"
     generate_dataset(TINY, folder, 3, SEED, progress=False)
     whole = contents(folder)
-    (folder / ".00000001.npz.abc.part").write_bytes(b"half")
+    old, new = folder / ".00000001.npz.abc.part", folder / ".00000002.npz.def.part"
+    for part in (old, new):
+        part.write_bytes(b"half")
+    os.utime(old, (0, 0))
     (folder / "00000002.npz").unlink()
     generate_dataset(TINY, folder, 3, SEED, progress=False)
+    new.unlink()  # another command may still write it
     assert contents(folder) == whole
+    (folder / "dataset.json").write_text("{")
+    with pytest.raises(ValueError, match=r"dataset\.json"):
+        generate_dataset(TINY, folder, 3, SEED, progress=False)
 
 
 def test_a_crash_is_recorded_and_tried_again_when_asked(tmp_path, outcomes):

@@ -247,3 +247,16 @@ def test_a_tilde_is_the_home_folder(tmp_path, monkeypatch, episode_path):
     assert len(load_states("~/a/tracks.npz", [RING])) == 1
     assert len(load_episode("~/b/film.npz").points)
     assert not (tmp_path / "~").exists()
+
+
+def test_a_garment_is_no_name():
+    control, sim = pytest.importorskip("topokit.control"), pytest.importorskip("topokit.sim")
+    for call in (
+        lambda: control.hang(garment="apron"),
+        lambda: sim.simulate("apron"),
+        lambda: sim.Task.of("apron", sim.Hook()),
+    ):
+        with pytest.raises((TypeError, ValueError), match="apron"):
+            call()
+    with pytest.raises(TypeError, match="hook"):
+        sim.Task.of(sim.WARDROBE["apron"](), "hook")

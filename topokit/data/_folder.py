@@ -14,6 +14,7 @@ from __future__ import annotations
 import hashlib
 import json
 import platform
+import time
 import zlib
 from collections.abc import Mapping
 from importlib.metadata import version
@@ -23,7 +24,7 @@ from typing import Any
 import numpy as np
 
 from topokit import __version__
-from topokit._archive import atomic_file
+from topokit._archive import FormatError, atomic_file
 
 
 class NumberedFiles:
@@ -79,7 +80,10 @@ def begin(folder: Path, about: str, settings: Mapping[str, Any]) -> None:
     """Make a folder, or open one to go on; raise ValueError when it was begun with other settings."""
     path = folder / about
     if path.is_file():
-        old = json.loads(path.read_bytes())
+        try:
+            old = dict(json.loads(path.read_bytes()))
+        except (TypeError, ValueError) as error:
+            raise FormatError(f"{path}: damaged ({error}); copy it again, or name another folder") from error
         _refuse_other(old, dict(settings), str(folder))
         if settings.get("episodes", 0) < old.get("episodes", 0):
             raise ValueError(f"{folder} has {old['episodes']} episodes; it cannot shrink to {settings['episodes']}")
@@ -88,9 +92,10 @@ def begin(folder: Path, about: str, settings: Mapping[str, Any]) -> None:
 
 
 def remove_parts(folder: Path) -> None:
-    """Remove the files that killed processes left half written."""
+    """Remove the files that killed processes left half written; a file of the last hour may be another command's."""
     for left in folder.glob(".*.part"):
-        left.unlink(missing_ok=True)
+        if time.time() - left.stat().st_mtime > 3600:
+            left.unlink()
 
 
 def _refuse_other(old: Any, new: Any, folder: str, name: str = "") -> None:

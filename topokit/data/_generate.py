@@ -19,7 +19,7 @@ from topokit.io import save_episode
 from topokit.sim import SimulationError
 
 from ._dataset import ABOUT, Dataset, DatasetSettings
-from ._folder import archive_path, begin, remove_parts, versions_of, write_json
+from ._folder import archive_path, begin, versions_of, write_json
 from ._recipe import DatasetConfig, make_episode, task_of
 
 
@@ -98,7 +98,6 @@ def generate_dataset(
                 raise outcome
     finally:
         outcomes.close()
-        remove_parts(folder)
     return Dataset(folder)
 
 

@@ -4,11 +4,15 @@ from __future__ import annotations
 
 from dataclasses import asdict, field, replace
 from pathlib import Path
-from typing import Any, Literal, NamedTuple
+from typing import Annotated, Any, Literal, NamedTuple
+
+from pydantic import Field
 
 from topokit._config import Count, Positive, checked, load
 
 from ._baselines import Shape
+
+Cores = Annotated[int, Field(ge=0, le=1024)]
 
 
 class Windows(NamedTuple):
@@ -43,8 +47,8 @@ class TrainConfig:
     #: Learning rate of AdamW. It rises over the first 2 % of steps, and falls along a cosine to a hundredth.
     learning_rate: Positive = 1e-3
     patience: Count = 5  #: number of epochs without a smaller validation loss after which training stops
-    threads: Count = 2  #: threads of PyTorch; with another number the weights differ in their last bits
-    workers: int = 0  #: number of processes that read windows, besides the training process
+    threads: Cores = 2  #: threads of PyTorch; with another number the weights differ in their last bits
+    workers: Cores = 0  #: number of processes that read windows, besides the training process
 
     @classmethod
     def load(cls, path: str | Path) -> TrainConfig:

@@ -16,6 +16,7 @@ from typing import Any, TypeVar
 import numpy as np
 from numpy.typing import ArrayLike
 
+from topokit._validate import WrongKindError
 from topokit.io import LOOP_NAMES
 
 from ._garments import Garment
@@ -52,6 +53,8 @@ class Task:
         loops : sequence of str, optional
             The loops of which one must be on the target; not needed for a garment of the wardrobe, or with a single loop.
         """
+        if not (isinstance(garment, Garment) and isinstance(target, Hook | Hanger | Mannequin)):
+            raise WrongKindError(f"a task needs a Garment and a target (a Hook(), say), not {garment!r} and {target!r}")
         name = f"{garment.name}-{target.name}"
         if name in TASKS and not loops:
             return replace(TASKS[name], garment=lambda: garment, target=target)
