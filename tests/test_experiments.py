@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import dataclasses
 import importlib
 import json
 import shutil
@@ -22,7 +23,9 @@ from tables import bootstrap, draw_episodes, interval
 from topokit.data import Dataset
 from topokit.evaluate import true_loops
 from topokit.io import load_episode
+from topokit.sampling import covering_radius
 
+from _tracking_clouds import CAMERA, seen, seen_radius, true_parameters
 from conftest import DATA, polygon
 
 ROOT = Path(__file__).parent.parent
@@ -218,6 +221,27 @@ def test_tracks_of_a_film_are_scored(tmp_path, monkeypatch):
 
 
 # -- linkers -----------------------------------------------------------------------------------------------------------------
+
+
+def test_the_alpha_that_the_paper_is_given():
+    """It covers the surface in every frame, counts clean points only, and for a camera only what it sees."""
+    film = load_episode(DATA / "apron_hook_0.npz")
+    film = dataclasses.replace(film, points=film.points[:40:8].astype(float))
+    whole = list(film.points)
+    given = true_parameters(film, "all vertices", whole, 1)
+    sides = film.points[:, film.faces] - film.points[:, np.roll(film.faces, 1, axis=1)]
+    longest = np.linalg.norm(sides, axis=-1).max()
+    assert 0.95 * longest / 2 < given["alpha"] <= longest / 2  # the middle of an edge may be nearer to a third vertex
+    assert given["epsilon"] == np.linalg.norm(np.diff(film.points, axis=0), axis=-1).max()
+    noisy = [frame + 0.01 for frame in whole]
+    assert true_parameters(film, "noise of 10 mm", noisy, 1) == given
+    half = true_parameters(film, "a hand", [frame[::2] for frame in whole], 1)
+    assert half["alpha"] >= max(covering_radius(frame, frame[::2]) for frame in whole)
+
+    flawed = true_parameters(film, "a depth camera's flaws", whole, 1)
+    assert flawed["alpha"] == seen_radius(film, (CAMERA,))
+    hidden = max(covering_radius(frame, seen(frame, film.faces, (CAMERA,))) for frame in whole)
+    assert 0.01 < flawed["alpha"] < hidden
 
 
 def two_rings(large: float, small: float) -> np.ndarray:
