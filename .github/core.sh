@@ -10,7 +10,7 @@ pins=${2:+--requirement $2}
 bin=.venv-core/bin
 [ -d "$bin" ] || bin=.venv-core/Scripts
 "$bin/python" -m pip install --quiet . $pins gudhi hypothesis psutil pytest scikit-learn
-core=(tests/test_{sampling,compiler,rips,rips_properties,cycles,reduction,seqph,linking,mixture,io,core}.py)
+core=(tests/test_{sampling,compiler,rips,rips_properties,cycles,reduction,seqph,linking,mixture,io,inputs,core}.py)
 "$bin/pytest" -o addopts= --import-mode=append "${core[@]}"
 "$bin/python" -m pip uninstall --quiet --yes numba llvmlite
 "$bin/pytest" -o addopts= --import-mode=append "${core[@]}"

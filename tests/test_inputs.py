@@ -4,9 +4,10 @@ from __future__ import annotations
 
 import numpy as np
 import pytest
+from scipy.spatial import ConvexHull
 
 import topokit as tk
-from topokit.evaluate import Overlap, score
+from topokit.evaluate import Overlap, distance_to_hull, score
 from topokit.io import load_episode, load_states, save_episode, save_states
 from topokit.lemmas import beta_all, beta_critical, verify_step
 
@@ -260,3 +261,33 @@ def test_a_garment_is_no_name():
             call()
     with pytest.raises(TypeError, match="hook"):
         sim.Task.of(sim.WARDROBE["apron"](), "hook")
+
+
+# -- hulls, with any version of SciPy ---------------------------------------------------------------------------------------
+
+
+@pytest.mark.parametrize("flat", [False, True])
+@pytest.mark.parametrize("d", [2, 3])
+def test_the_distance_to_a_hull_against_its_facets(d, flat):
+    """Inside is what all facets of Qhull have on their inner side; in the plane, the nearest side is as far."""
+    rng = np.random.default_rng(d)
+    for _ in range(250):
+        points = rng.normal(size=(rng.integers(d + 1, 60), d))
+        places = np.vstack([rng.dirichlet(np.full(len(points), 0.3)) @ points, 2 * rng.normal(size=d)])
+        hull = ConvexHull(points)
+        inside = (hull.equations[:, :-1] @ places.T + hull.equations[:, -1:] <= 0).all(axis=0)
+        expected = [nearest_side(place, points[hull.simplices]) for place in places]
+        if flat:  # in a plane of a space of one dimension more, turned and moved
+            turn = np.linalg.qr(rng.normal(size=(d + 1, d + 1)))[0]
+            points, places = (np.pad(rows, ((0, 0), (0, 1))) @ turn + 5 for rows in (points, places))
+        found = np.array([distance_to_hull(place, points) for place in places])
+        np.testing.assert_array_equal(found < 1e-9, inside)
+        if d == 2:
+            np.testing.assert_allclose(found, np.where(inside, 0, expected), atol=1e-9)
+
+
+def nearest_side(place, sides):
+    """Return how far a place is from the nearest of some segments (m, 2, d)."""
+    along = sides[:, 1] - sides[:, 0]
+    share = np.clip(((place - sides[:, 0]) * along).sum(axis=1) / (along**2).sum(axis=1), 0, 1)
+    return np.linalg.norm(sides[:, 0] + share[:, None] * along - place, axis=1).min()

@@ -6,11 +6,10 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
-from scipy.spatial import ConvexHull
 
 from chapter_tools.trackers import by_diagram, by_killer, by_midpoint, track_vines
 from topokit import SeqPH, track
-from topokit.evaluate import Overlap, compare, distance_to_hull, events, score, summarise_tracks, true_loops
+from topokit.evaluate import Overlap, compare, events, score, summarise_tracks, true_loops
 from topokit.io import load_episode
 
 from conftest import polygon
@@ -196,30 +195,3 @@ def test_vines_follow_a_motion_that_a_matching_loses():
     assert states[1].loops[0].death == track([large])[0].loops[0].death
     with pytest.raises(ValueError, match="same vertices"):
         track_vines([small, large[:9]])
-
-
-@pytest.mark.parametrize("flat", [False, True])
-@pytest.mark.parametrize("d", [2, 3])
-def test_the_distance_to_a_hull_against_its_facets(d, flat):
-    """Inside is what all facets of Qhull have on their inner side; in the plane, the nearest side is as far."""
-    rng = np.random.default_rng(d)
-    for _ in range(250):
-        points = rng.normal(size=(rng.integers(d + 1, 60), d))
-        places = np.vstack([rng.dirichlet(np.full(len(points), 0.3)) @ points, 2 * rng.normal(size=d)])
-        hull = ConvexHull(points)
-        inside = (hull.equations[:, :-1] @ places.T + hull.equations[:, -1:] <= 0).all(axis=0)
-        expected = [nearest_side(place, points[hull.simplices]) for place in places]
-        if flat:  # in a plane of a space of one dimension more, turned and moved
-            turn = np.linalg.qr(rng.normal(size=(d + 1, d + 1)))[0]
-            points, places = (np.pad(rows, ((0, 0), (0, 1))) @ turn + 5 for rows in (points, places))
-        found = np.array([distance_to_hull(place, points) for place in places])
-        np.testing.assert_array_equal(found < 1e-9, inside)
-        if d == 2:
-            np.testing.assert_allclose(found, np.where(inside, 0, expected), atol=1e-9)
-
-
-def nearest_side(place, sides):
-    """Return how far a place is from the nearest of some segments (m, 2, d)."""
-    along = sides[:, 1] - sides[:, 0]
-    share = np.clip(((place - sides[:, 0]) * along).sum(axis=1) / (along**2).sum(axis=1), 0, 1)
-    return np.linalg.norm(sides[:, 0] + share[:, None] * along - place, axis=1).min()
