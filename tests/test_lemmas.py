@@ -154,18 +154,6 @@ def test_betas_are_the_farthest_rivals(seed):
         assert from_killer(critical.edge[i]) == pytest.approx(critical.value[i])
 
 
-def test_beta_over_all_edges_is_as_large_as_the_object():
-    """Measured from the middle of the killer, half the diameter away there is a point, and an edge of the right length at it."""
-    x, y = np.meshgrid(np.linspace(0, 3, 31), np.linspace(0, 2, 21))
-    sheet = np.column_stack([x.ravel(), y.ravel()])
-    sheet = sheet[np.linalg.norm(sheet - [1, 1], axis=1) > 0.4]
-    diagram = rips_persistence(sheet)
-    diameter = cdist(sheet, sheet).max()
-    assert lemmas.beta_all(sheet, 0.1).max >= diameter / 2 - diagram.death[0]
-    # Over critical edges it is as large as the loop.
-    assert lemmas.beta_critical(sheet, 0.1).max < 2 * (diagram.death[0] + 0.1)
-
-
 def test_the_constants_of_a_step_are_those_of_the_definitions():
     rng = np.random.default_rng(0)
     points = rng.normal(size=(20, 3))
@@ -217,39 +205,6 @@ def test_counterexamples_refute_the_paper_and_not_the_correction(name):
     assert check.paper.bound < check.paper.statistic
     assert "FAILS" in str(check)
     assert all(v.holds for version, v in check.versions.items() if version != "paper")
-
-
-def test_killers_two_beta_apart():
-    example = COUNTEREXAMPLES["killers two beta apart"]
-    check = example.check()
-    s = example.before
-    diagram = rips_persistence(s)
-    assert bars(diagram).round(3).tolist() == [[0.61, 0.816]]
-    assert diagram.killer_edge.tolist() == [[1, 6]]
-    for ids, edge in ((example.observed_before, [0, 4]), (example.observed_after, [2, 6])):
-        assert ids[rips_persistence(s[ids]).killer_edge[0]].tolist() == edge
-    assert check.epsilon == 0
-    assert check.alpha == pytest.approx(0.0283, abs=1e-4)
-    assert lemmas.beta_all(s, check.alpha).max == pytest.approx(0.781, abs=1e-3)
-    assert check.paper.statistic == pytest.approx(1.516, abs=1e-3)
-    assert check.paper.bound == pytest.approx(2 * check.alpha + 0.781, abs=1e-3)
-    assert check.loops[0].legs == pytest.approx((0.781, 0, 0.78), abs=1e-3)
-    assert check.corrected.bound == pytest.approx(2 * 0.781, abs=1e-3)
-
-
-def test_two_similar_loops_contradict_assumption_3():
-    example = COUNTEREXAMPLES["two squares"]
-    check = example.check()
-    s, alpha = example.before, check.alpha
-    first, second = rips_persistence(s).death[:2]
-    assert abs(first - second) < alpha
-    separation = hausdorff(*s[rips_persistence(s).killer_edge[:2]])
-    assert lemmas.beta_all(s, alpha).max >= separation
-    assert not check.paper.hypotheses
-    # Critical edges do not help: each one's killer is critical. The distance to the nearest killer does.
-    assert lemmas.beta_critical(s, alpha, min_lifetime=0.1).max >= separation
-    nearest = lemmas.beta_critical(s, alpha, min_lifetime=0.1, nearest=True).max
-    assert separation > 4 * nearest
 
 
 @pytest.mark.parametrize("seed", range(5))

@@ -16,7 +16,6 @@ from topokit import view
 from topokit.io import Episode, load_episode
 from topokit.linking import close_far, linking_number
 from topokit.sim import WARDROBE
-from topokit.view import _looks
 
 from conftest import DATA, polygon
 from pages import by_script, needs_node, page_data, unpack
@@ -110,42 +109,6 @@ def test_nothing_is_drawn_from_uninitialised_memory(episode, states, monkeypatch
         patch.setattr(np, "empty", arbitrary_memory)
         axes = view.plot_cloth(episode.points[0], episode.faces, loops=states[0].loops, centre_line=episode.centre_line)
         axes.figure.canvas.draw()
-
-
-def sheet(columns: int = 9, rows: int = 13, step: float = 0.05) -> tuple[np.ndarray, np.ndarray]:
-    """Return a hanging sheet as a grid with alternating diagonals."""
-    i, j = np.meshgrid(np.arange(columns), np.arange(rows))
-    points = np.column_stack([i.ravel() * step, np.zeros(i.size), 1 - j.ravel() * step])
-    a = (np.arange(rows - 1)[:, None] * columns + np.arange(columns - 1)).ravel()
-    b = a + columns
-    even = ((a // columns + a % columns) % 2 == 0)[:, None]
-    one = np.where(even, np.column_stack([a, b, a + 1]), np.column_stack([a, b, b + 1]))
-    other = np.where(even, np.column_stack([a + 1, b, b + 1]), np.column_stack([a, b + 1, a + 1]))
-    return points, np.concatenate([one, other])
-
-
-def roof() -> tuple[np.ndarray, np.ndarray]:
-    """Return the sheet folded at 90 degrees along its vertical middle, which is nearest to an eye at azimuth -90."""
-    points, faces = sheet()
-    far = points[:, 0] - 0.2
-    return np.column_stack([far / np.sqrt(2), abs(far) / np.sqrt(2), points[:, 2]]), faces
-
-
-def length_of(kind: int, points: np.ndarray, faces: np.ndarray, *, at_rest: bool = True) -> float:
-    """Return the length of the lines of the check (0) or of the seams (1) that are drawn for a cloth at rest."""
-    face, ends, _ = _looks.cloth_marks(points, faces, smooth=at_rest)[kind]
-    return np.linalg.norm(np.diff(ends @ points[faces[face]], axis=1), axis=-1).sum()
-
-
-def test_the_check_folds_with_the_cloth():
-    assert length_of(0, *roof()) == pytest.approx(length_of(0, *sheet()), rel=0.15)
-
-
-def test_seams_are_the_border_and_the_sharp_folds_of_cloth_at_rest():
-    border = 2 * 0.4 + 2 * 0.6
-    assert length_of(1, *sheet()) == pytest.approx(border)
-    assert length_of(1, *roof()) == pytest.approx(border + 0.6)
-    assert length_of(1, *roof(), at_rest=False) == pytest.approx(border)
 
 
 def test_the_player_holds_the_episode_and_the_loops_of_each_frame(episode, states):
