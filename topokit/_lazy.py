@@ -1,4 +1,4 @@
-"""Packages that import their parts when they are used: PyTorch, Dask and PyBullet are not needed for everything.
+"""Packages that import their parts when they are used: PyTorch and PyBullet are not needed for everything.
 
 Idea: the face of a package writes its imports under ``if TYPE_CHECKING:``, where type checkers and readers see them. The same
 lines are read here at run time, and each name is imported at its first use.
