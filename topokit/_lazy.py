@@ -20,10 +20,7 @@ def shown(path: str) -> dict[str, str]:
 
 
 def attach(package: str, path: str, extra: str = "") -> tuple[Callable[[str], Any], Callable[[], list[str]], list[str]]:
-    """Return the `__getattr__`, the `__dir__` and the `__all__` of the package with the face `path`.
-
-    When a dependency is missing, the error names the command that installs it: ``pip install 'topokit[extra]'``.
-    """
+    """Return the `__getattr__`, the `__dir__` and the `__all__` of a face; errors name `extra`, which brings what is missing."""
     module_of = shown(path)
     requirement = f"topokit[{extra}]" if extra else "topokit"
 

@@ -54,10 +54,7 @@ def as_points(points: ArrayLike, name: str = "points", *, copy: bool = False) ->
 
 
 def as_sequence(sequence: ArrayLike | Sequence[ArrayLike], name: str = "sequence") -> list[Array]:
-    """Return clouds as a list of copies (n_t, d) float64: the number of points may vary, the dimension may not.
-
-    A frame that is None, or empty, is a cloud without points.
-    """
+    """Return clouds as a list of copies (n_t, d) float64, all of one d; one that is None or empty has no points."""
     clouds: list[Array] = []
     seen: list[Array] = []
     for frame, cloud in enumerate(sequence):  # type: ignore[arg-type]

@@ -326,10 +326,7 @@ def hang(
 
 
 def generate(out: Path, episodes: int, seed: int = 0, config: Path | None = None, workers: int | None = None) -> Answer:
-    """Make a dataset of many episodes, and label the loops of each.
-
-    The same command goes on where it was stopped.
-    """
+    """Make a dataset of many episodes, and label the loops of each. The same command goes on where it was stopped."""
     from ._config import load
     from .data import DatasetConfig, generate_dataset, label_dataset
 

@@ -269,17 +269,11 @@ def check_layout(arrays: Mapping[str, NDArray[Any]], layout: dict[str, str]) -> 
 
 
 def state_arrays(states: Sequence[TopologicalState], slots: int = 8) -> dict[str, NDArray[Any]]:
-    """Return the loops of tracked states as arrays of one shape: the form in which states are stored.
+    """Return the longest-lived `slots` loops of T states as arrays of one shape: the form in which states are stored.
 
-    A frame keeps its `slots` longest-lived loops; the others are dropped and counted. Places are ids of points in the cloud that
-    was tracked.
-
-    Returns
-    -------
-    dict
-        Of arrays for T frames: `id` (T, S), -1 for no loop; `simplices` (T, S, 22), the point ids of birth edge, killer edge,
-        killer triangles and neighbours, 65535 for no neighbour; `values` (T, S, 7), birth, death, `killer_shift` and the
-        filtration values of the neighbours; `parameters` (T, 4), alpha, beta, epsilon and the number of loops without a slot.
+    `id` (T, S), -1 for no loop; `simplices` (T, S, 22), the point ids of birth edge, killer edge, killer triangles and
+    neighbours, 65535 for no neighbour; `values` (T, S, 7), birth, death, `killer_shift` and filtration values of neighbours;
+    `parameters` (T, 4), alpha, beta, epsilon and the number of loops without a slot.
     """
     frames = len(states)
     arrays: dict[str, NDArray[Any]] = {
@@ -365,19 +359,12 @@ class _Frame:
 def save_states(path: str | Path, states: Sequence[TopologicalState]) -> Path:
     """Write tracked states to a file in one piece; `load_states` reads them, given the clouds that were tracked.
 
-    The arrays are those of the labels of a dataset (`state_arrays`), with a slot for each loop.
-
     Parameters
     ----------
     path : path
-        Name of the file, which ends in .npz.
+        Name of the file, which ends in .npz; a ValueError otherwise.
     states : sequence of TopologicalState
         States to store, of clouds of fewer than 65,535 points.
-
-    Raises
-    ------
-    ValueError
-        When the name does not end in .npz.
     """
     slots = max((len(state) for state in states), default=0)
     arrays = state_arrays(states, slots)

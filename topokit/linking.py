@@ -18,22 +18,12 @@ __all__ = ["close_far", "linking_number", "linking_numbers"]
 
 
 def side_lengths(curve: Array) -> Array:
-    """Return the lengths (..., n) of the sides of closed curves; the last side joins the last corner to the first.
-
-    Parameters
-    ----------
-    curve : (..., n, d) float64
-    """
+    """Return the lengths (..., n) of the sides of closed curves (..., n, d); the last one joins the last corner to the first."""
     return np.asarray(np.linalg.norm(np.roll(curve, -1, axis=-2) - curve, axis=-1))
 
 
 def curve_centroid(curve: Array) -> Array:
-    """Return the centroid (d,) of a closed curve by length: its corners may crowd on one side.
-
-    Parameters
-    ----------
-    curve : (n, d) float64
-    """
+    """Return the centroid (d,) of a closed curve (n, d) by length: its corners may crowd on one side."""
     middles = (curve + np.roll(curve, -1, axis=0)) / 2
     return np.asarray(np.average(middles, axis=0, weights=side_lengths(curve)))
 
@@ -293,12 +283,7 @@ def _segment_distances(a: Array, a_end: Array, b: Array, b_end: Array) -> Array:
 
 
 def to_segment(point: Array, start: Array, end: Array) -> Array:
-    """Return the distances from points to segments, broadcast over the leading axes.
-
-    Parameters
-    ----------
-    point, start, end : (..., d) float64
-    """
+    """Return the distances (...) from points to segments, (..., d) each, broadcast over the leading axes."""
     along = end - start
     t = np.clip(_dot(point - start, along) / np.maximum(_dot(along, along), np.finfo(float).tiny), 0, 1)
     return np.linalg.norm(point - start - t[..., None] * along, axis=-1)

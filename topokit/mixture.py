@@ -50,10 +50,6 @@ class InverseWishart:
     def posterior_mean(self, scatter: Array) -> Array:
         """Return the mean covariance (..., d, d), given the scatter (..., d, d) of three vertices.
 
-        Parameters
-        ----------
-        scatter : (..., d, d) float64
-
         Raises
         ------
         ValueError
@@ -126,11 +122,7 @@ class LoopMixture:
         return np.asarray(self.means[component] + (factor[component] @ white)[..., 0])
 
     def log_prob(self, x: ArrayLike) -> Array:
-        """Return the natural logarithm (n,) of the density at the points `x`; for one point it is a scalar.
-
-        Parameters
-        ----------
-        x : (n, d) or (d,) array_like
+        """Return the natural logarithm (n,) of the density at points `x` (n, d); for one point (d,) it is a scalar.
 
         Raises
         ------
@@ -234,13 +226,7 @@ def loop_mixture(loop: Triangles, noise: float = 1e-4, prior: InverseWishart | N
 
 
 def moments(triangles: Any) -> tuple[Any, Any]:
-    """Return the barycentres (..., d) of triangles and the scatter (..., d, d) of their vertices.
-
-    Parameters
-    ----------
-    triangles : (..., 3, d) array or tensor
-        An array of NumPy or a tensor of PyTorch; the results are of the same kind.
-    """
+    """Return the barycentres (..., d) of triangles (..., 3, d), of NumPy or PyTorch, and the scatter (..., d, d) of corners."""
     means = triangles.mean(axis=-2)
     offsets = triangles - means[..., None, :]
     return means, offsets.swapaxes(-1, -2) @ offsets

@@ -126,12 +126,7 @@ def hausdorff(a: ArrayLike | cKDTree, b: ArrayLike | cKDTree) -> float:
 
 
 def hausdorff_table(a: Array, b: Array) -> Array:
-    """Return the (m, k) Hausdorff distances between small sets of points, each of `a` and each of `b`.
-
-    Parameters
-    ----------
-    a, b : (m, p, d), (k, q, d) float64
-    """
+    """Return the (m, k) Hausdorff distances between small sets of points, each of `a` (m, p, d) and each of `b` (k, q, d)."""
     distances = np.linalg.norm(a[:, None, :, None] - b[None, :, None], axis=-1)  # (m, k, p, q)
     a_to_b = distances.min(axis=3).max(axis=2)
     b_to_a = distances.min(axis=2).max(axis=2)
@@ -169,23 +164,7 @@ def inliers(points: ArrayLike | cKDTree, *, factor: float = 2.5) -> Ids:
 
 
 def inliers_and_tree(tree: cKDTree, factor: float = 2.5) -> tuple[Ids, cKDTree, Array]:
-    """Return what a tracker needs of the points that are not alone.
-
-    Parameters
-    ----------
-    tree : cKDTree
-        Tree of the points.
-    factor : float
-
-    Returns
-    -------
-    ids : (k,) int64
-        Numbers of these points in the cloud.
-    tree : cKDTree
-        Tree of their p places; points that coincide are one place.
-    nearest : (p, 5) float64
-        Distances of each place from its nearest other places.
-    """
+    """Return the ids (k,) of points that are not alone, the tree of their p places, and (p, 5) distances of nearest places."""
     tree, place_of_point = _places(tree)
     place_ids = np.arange(tree.n)
     nearest = _five_nearest(tree)
@@ -232,17 +211,7 @@ def _places(tree: cKDTree) -> tuple[cKDTree, Ids]:
 
 
 def as_tree(points: ArrayLike | cKDTree, name: str = "points", *, copy: bool = False) -> cKDTree:
-    """Return a tree of checked points: built once, it serves several distances. A tree is returned as it is.
-
-    Parameters
-    ----------
-    points : (n, d) array_like
-        Points, or a tree of them.
-    name : str
-        Name of the points in error messages.
-    copy : bool
-        Keep a copy of the points in the tree.
-    """
+    """Return a tree of checked points (n, d), built once for several distances; a tree is returned as it is."""
     from scipy.spatial import cKDTree  # here, because importing topokit must be quick
 
     if isinstance(points, cKDTree):

@@ -49,10 +49,10 @@ def hang(
     seed : int
         Seed of the environment, and of the controller's draws.
     garment, target : optional
-        The garment and the target of the task when not given.
+        As in `topokit.sim.simulate`.
     model : str or Path, optional
         The forecast by which a `Planner` plans: "carry" for a rigid one, or the checkpoint of a model of motion. With None the
-        `Servo` acts, which needs no forecast.
+        `Servo` acts.
     controller : optional
         The controller that acts in place of these: an object with the members of a `Servo`, such as a `Planner` of your own.
     max_steps : int

@@ -369,10 +369,7 @@ class Servo:
         return bool(np.linalg.norm(gap) < self.options.near and abs(facing) < self.options.facing)
 
     def _approach(self, pivot: Array, gap: Array, facing: float, pace: float, grippers: Array) -> NDArray[np.float32]:
-        """Return the action that makes a share of a missing move, and of a missing turn about a place.
-
-        The pace is the largest move, as a share of the largest step.
-        """
+        """Return the action that makes a missing move and turn; `pace` is the largest move, as a share of the largest step."""
         options = self.options
         move = options.gain * gap
         move *= min(1.0, pace * self.max_step / max(float(np.linalg.norm(move)), 1e-9))

@@ -99,14 +99,7 @@ class Labels(NumberedFiles):
 
 
 class Dataset(NumberedFiles):
-    """A dataset that `generate_dataset` made in a folder.
-
-    The number of an episode does not depend on other episodes: ``dataset[7]`` is `make_episode(config, seed, 7)`, to
-    within 0.05 mm. Iteration gives the whole episodes, in order.
-
-    Parameters
-    ----------
-    folder : path
+    """A dataset that `generate_dataset` made in a folder; iteration gives its episodes, in order, to within 0.05 mm.
 
     Raises
     ------

@@ -28,14 +28,7 @@ from topokit._archive import FormatError, atomic_file
 
 
 class NumberedFiles:
-    """The files of a folder, one file an episode, as they are now.
-
-    Parameters
-    ----------
-    folder : path
-    about : str
-        Name of the file with the settings of the folder.
-    """
+    """The files of a folder, one file an episode, as they are now, and the one `about` its settings."""
 
     def __init__(self, folder: str | Path, about: str) -> None:
         self.folder = Path(folder).expanduser()  #: folder of the files

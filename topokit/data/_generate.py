@@ -35,8 +35,7 @@ def generate_dataset(
 ) -> Dataset:
     """Make the dataset of a configuration and a seed in a folder, or go on with one that was begun.
 
-    Every episode is made by `make_episode` from the configuration, the seed and the episode's number, in a fresh process. So
-    its bytes do not depend on how many workers there are, in which order they work, or how often they were stopped.
+    The bytes of an episode do not depend on how many workers there are, in which order they work, or how often they were stopped.
 
     Parameters
     ----------
@@ -54,16 +53,10 @@ def generate_dataset(
     progress : bool
         Show a progress bar with the time left on stderr.
 
-    Returns
-    -------
-    dataset : Dataset
-        The dataset in the folder.
-
     Raises
     ------
     ValueError
-        When the folder was begun with another configuration, seed or version; the message
-        names the difference.
+        When the folder was begun with another configuration, seed or version; the message names the difference.
     FileNotFoundError
         When the file of a mesh does not exist.
     ImportError

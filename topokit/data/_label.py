@@ -29,7 +29,7 @@ def label_dataset(
     n_workers: int | None = None,
     progress: bool = True,
 ) -> Labels:
-    """Track every episode of a dataset and store the states, or go on with it.
+    """Track every episode of a dataset and store the states, or go on with it; return the set of labels.
 
     In every frame the eight loops of the longest lifetime are kept. The number of dropped loops is stored too. The labels have
     the name of the observation, and of the number of points where one is given: "full", "observed-128".
@@ -48,11 +48,6 @@ def label_dataset(
         Number of threads; one for each core when not given.
     progress : bool
         Show a progress bar with the time left on stderr.
-
-    Returns
-    -------
-    labels : Labels
-        The set of labels, with its `folder`, `episodes` and `checksum()`.
 
     Raises
     ------

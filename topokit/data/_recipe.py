@@ -114,7 +114,7 @@ class DatasetConfig:
         Parameters
         ----------
         seed, index : int
-            Seed of the dataset, and number of the episode, from 0.
+            As in `make_episode`.
         """
         rng = np.random.default_rng(np.random.SeedSequence(seed, spawn_key=(index,)))
         names, weights = list(self.tasks), np.cumsum(list(self.tasks.values()))

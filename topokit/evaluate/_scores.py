@@ -145,9 +145,8 @@ def events(overlaps: Sequence[Overlap], threshold: float = THRESHOLD) -> Iterato
 
     Parameters
     ----------
-    overlaps : sequence of Overlap
-    threshold : float
-        Least similarity of a match.
+    overlaps, threshold
+        As in `score`.
     """
     last: dict[int, int] = {}  # of each object: the identity of its last match
     current: dict[int, int] = {}  # the matches of the last frame that had objects and identities

@@ -153,10 +153,7 @@ def _true_loops(vertices: Array, loops: Sequence[NDArray[np.integer]]) -> TrueLo
 
 
 def by_place(truth: TrueLoops, state: TopologicalState) -> Array:
-    """Return (L, k) similarities 1 - distance / (2 radius), not below 0, of the tracked centres to the true ones.
-
-    The threshold of a half, one radius away, lets the killers be anywhere in the opening: along a slot they are.
-    """
+    """Return (L, k) similarities 1 - distance / (2 radius), not below 0; half is one radius away, anywhere in the opening."""
     centres = np.array([loop.centre for loop in state.loops]).reshape(-1, truth.centres.shape[1])
     distances = np.linalg.norm(truth.centres[:, None] - centres[None], axis=2)
     return np.asarray(np.maximum(1 - distances / (2 * truth.radii[:, None]), 0))

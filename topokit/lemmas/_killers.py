@@ -32,10 +32,8 @@ def recovering_killers(state: ArrayLike | Step, observed: Given = None) -> Check
 
     Parameters
     ----------
-    state : (n, d) array_like, or Step
-        S_t, or a step that holds both the state and the observation.
-    observed : array_like, optional
-        O_t: (m,) ids of points of S_t; all of them when not given.
+    state, observed
+        As in `observability`.
     """
     step = as_step(state, observed)
     s = step.before
@@ -60,8 +58,8 @@ def regularity_of_killers(before: ArrayLike | Step, after: Given = None, alpha: 
 
     Parameters
     ----------
-    before, after : (n, d) array_like
-        S_t and S_t+1: row i of both is the same point. Or a Step in the place of `before`.
+    before, after
+        As in `temporal_persistence`.
     alpha : float
         The covering radius of the observations. At least 2.001 epsilon is used, since Assumption 2 needs it above 2 epsilon.
     """

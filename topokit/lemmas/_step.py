@@ -113,10 +113,7 @@ class Check:
 
 @dataclass(frozen=True, eq=False)
 class Step:
-    """A state and the same points a moment later.
-
-    The four diagrams have names, the places: "S_t" and "S_t+1" of all points, "O_t" and "O_t+1" of the observed points.
-    """
+    """A state and the same points a moment later, with diagrams at four places: "S_t", "S_t+1" of all points, "O_t", "O_t+1"."""
 
     before: State
     after: State
@@ -180,10 +177,7 @@ class Step:
         return np.vstack([self.killer_edges(place), [[-1, -1]]])[loops]
 
     def killer_distances(self, place: str, other: str, n_loops: int) -> Array:
-        """Return (n, n) Hausdorff distances between the killer edges of n loops in one place and in another.
-
-        The loops are those of `killers`. A distance is inf where a loop has no counterpart.
-        """
+        """Return (n, n) Hausdorff distances between the `killers` of two places; inf where a loop has no counterpart."""
         edges = []
         for name in (place, other):
             # Vertex -1, of a loop without counterpart, is a point of nan.
@@ -195,10 +189,7 @@ class Step:
 def as_step(
     before: ArrayLike | Step, observed_before: Given = None, after: Given = None, observed_after: Given = None
 ) -> Step:
-    """Check two states and their observations, and return them as a step.
-
-    Without `after`, nothing moves. Without an observation, all vertices are observed. A step is returned as it is.
-    """
+    """Check two states and their observations, and return them as a step; what is not given does not move, or is observed."""
     if isinstance(before, Step):
         return before
     if after is None:

@@ -66,10 +66,7 @@ class PredictiveModel(Model, ABC):
 
     @abstractmethod
     def decode(self, context: Context, actions: Tensor, held: Tensor) -> StateTensors:
-        """Return the states of all steps under plans (C, horizon, 2, 3), held or not (C, horizon), given the context of `encode`.
-
-        C is the number of windows; or any number where there is one window, and one history has C plans.
-        """
+        """Return the states of all steps under plans (C, horizon, 2, 3), held or not (C, horizon); one history may have any C."""
 
     def forward(self, window: Window) -> StateTensors:
         """Return the predicted states of a batch of windows."""

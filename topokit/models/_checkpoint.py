@@ -39,7 +39,7 @@ def build(
     """Make a model with freshly drawn weights.
 
     "hold", "carry" and "ridge" are baselines without a network, "mlp" and "pointnet" are the paper's networks, and
-    "motion" is ours.
+    "motion" is ours. A ValueError says that there is no such model.
 
     Parameters
     ----------
@@ -51,11 +51,6 @@ def build(
         For "ridge" the `penalty` on squared coefficients; for "mlp" and "pointnet" `skip`, and the
         `hidden` units of each layer, such as (512, 256); for "mlp" also how many `points` of a cloud it reads, for "pointnet" the
         `units` of each layer that all points share; for "motion" the `width` of codes.
-
-    Raises
-    ------
-    ValueError
-        When there is no such model.
     """
     if name not in MODELS:
         raise ValueError(f"there is no model {name!r}; there are {', '.join(MODELS)}")

@@ -160,10 +160,7 @@ class Motion(Model):
         return Codes(code, place, hands[:, 0], target, floor, origin, axes, carriers, swapped)
 
     def under(self, codes: Codes, actions: Tensor, held: Tensor) -> tuple[Tensor, Tensor]:
-        """Return places and scales, as `forward` does, under plans (C, 60, 2, 3), held or not (C, 60).
-
-        There is one plan for each scene, or any number of plans for a single scene.
-        """
+        """Return what `forward` does, under a plan (C, 60, 2, 3), held or not (C, 60), for each scene or C for a single one."""
         plans = len(actions)
         carriers = codes.carriers
         code = codes.code.expand(plans, -1, -1)  # (C, N, width)
@@ -210,12 +207,9 @@ class Motion(Model):
     def loss(self, scene: Scene, generator: torch.Generator) -> tuple[Tensor, dict[str, Tensor]]:
         """Return the loss of a batch, and its parts for the log: mean error, mean distortion, and likelihood.
 
-        The distortion is the error of the distances between points. Topology depends on it: deaths differ by at most half of
-        the largest distortion. An error that all points share moves no killer to another place of the cloth.
-
-        Clouds are thinned at random, so that nothing depends on the number of visible points. The scene also has `future`
-        (B, 13, carriers + n, 3) and `known` (B, 13), as `Scenes` returns it; or `known` (B, 13, carriers + n), where only some
-        points have a known future.
+        The distortion is the error of the distances between points: deaths differ by at most half of the largest one. Clouds are
+        thinned at random, so that nothing depends on the number of visible points. The scene also has `future`
+        (B, 13, carriers + n, 3) and `known` (B, 13), as `Scenes` returns it; or `known` for each point.
         """
         whole = scene["cloud"].shape[1]
         kept = int(torch.randint(64, whole + 1, (), generator=generator))

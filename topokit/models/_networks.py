@@ -58,10 +58,7 @@ class MLP(PredictiveModel):
 
 
 class PointNet(MLP):
-    """A PointNet that all frames share, in front of the fully connected network.
-
-    `units` are those of the layers that all points share; as published they are 64, 64, 64, 128, 1024.
-    """
+    """A PointNet, with layers of these `units` that all points share, in front of the fully connected network."""
 
     def __init__(
         self,

@@ -91,19 +91,14 @@ class Predictor:
 
     @torch.inference_mode()
     def predict(self, actions: ArrayLike, held: ArrayLike | None = None) -> StateTensors:
-        """Forecast the states of the next frames; the first observed frame also stands for the frames before it.
+        """Forecast the states (60, S) of the next frames; the first observed frame also stands for the frames before it.
 
         Parameters
         ----------
         actions : (60, 2, 3) or (C, 60, 2, 3) array_like
-            Planned places of the two grippers at each of the next frames, metres; or C such plans.
+            Planned places of the two grippers at each of the next frames, metres; or C such plans, for states (C, 60, S).
         held : (60,) or (C, 60) array_like of bool, optional
             Whether the grippers hold the garment at each of these frames; when not given, at all of them.
-
-        Returns
-        -------
-        StateTensors
-            Of shape (60, S), or (C, 60, S) for C plans.
         """
         chunks = self._plans(actions, held)
         if self._context is None:
@@ -174,17 +169,10 @@ class MotionPredictor(Predictor):
 
     @torch.inference_mode()
     def predict(self, actions: ArrayLike, held: ArrayLike | None = None, exact: Sequence[int] = ()) -> StateTensors:
-        """Forecast the states of the next frames.
+        """Forecast the states of the next frames under a plan, or under C plans, as `Predictor.predict` does.
 
-        Parameters
-        ----------
-        actions : (60, 2, 3) or (C, 60, 2, 3) array_like
-            Planned places of the two grippers at each of the next frames, metres; or C such plans.
-        held : (60,) or (C, 60) array_like of bool, optional
-            Whether they hold the garment then; throughout, when not given.
-        exact : sequence of int
-            Frames ahead, 1 to 60, at which loops are read off the moved cloud; for a single plan only. A loop that is born there
-            has a slot after those of the tracked loops, and is present at these frames only.
+        At the frames ahead, 1 to 60, in `exact`, loops are read off the moved cloud; for a single plan only. A loop that is
+        born there has a slot after those of the tracked loops, and is present at these frames only.
         """
         many = np.ndim(actions) == 4
         if many and len(exact):
@@ -210,15 +198,9 @@ class MotionPredictor(Predictor):
     def move(
         self, actions: ArrayLike, held: ArrayLike | None = None, points: ArrayLike | None = None
     ) -> tuple[Array, Array]:
-        """Return where points of the cloth will be (60, n, 3), metres, and the scale (60, n) of the error there.
+        """Return where points (n, 3) of the cloth will be (60, n, 3), metres, and the scale (60, n) of the error there.
 
-        Parameters
-        ----------
-        actions : (60, 2, 3) or (C, 60, 2, 3) array_like
-            A plan; or C plans, and the answers have a leading axis of C.
-        held : (60,) or (C, 60) array_like of bool, optional
-        points : (n, 3) array_like, optional
-            Their present places; the last cloud when not given.
+        Plans are those of `predict`; C of them give a leading axis of C. By default the points are the last cloud.
         """
         chunks = self._plans(actions, held)
         codes = self._encode(self._history()[-1][0].data if points is None else np.asarray(points, np.float64))

@@ -130,10 +130,7 @@ def carriers_first(cloud: NDArray[np.floating]) -> NDArray[np.int64]:
 
 
 def target_of(line: NDArray[np.floating]) -> dict[str, Array]:
-    """Return `target` (16, 3), places along the last 0.9 m of a target's centre line, and `floor` (), where the target stands.
-
-    Where there is no target, both are far below.
-    """
+    """Return `target` (16, 3), the last 0.9 m of a centre line, and `floor` (), where it stands; far below without a target."""
     if not len(line):
         line = np.array([[0, 0, -1000.0]])
     length = np.append(0, np.linalg.norm(np.diff(line, axis=0), axis=1).cumsum())

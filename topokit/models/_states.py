@@ -159,10 +159,7 @@ class StateTensors:
 
 
 def past_of(states: Sequence[TopologicalState], slots: int) -> Window:
-    """Return tracked states as the entries `past_...` of a window, (1, h, slots, ...).
-
-    The slots are the loops with the longest lifetimes on the mean over the h frames.
-    """
+    """Return the states' loops with the longest mean lifetimes as the entries `past_...` of a window, (1, h, slots, ...)."""
     total: defaultdict[int, float] = defaultdict(float)
     for state in states:
         for loop in state.loops:

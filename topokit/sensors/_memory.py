@@ -82,13 +82,7 @@ class CloudMemory:
         return np.vstack([view.cloth, self._remembered])
 
     def open_loops(self, state: TopologicalState) -> TopologicalState:
-        """Return the state with only the loops that the camera looks through past all cloth, now or in an earlier frame.
-
-        Parameters
-        ----------
-        state : TopologicalState
-            The tracked loops of the last cloud, in space.
-        """
+        """Return a tracked state with only the loops that the camera looks through past all cloth, now or in an earlier frame."""
         for loop in state.loops:
             _in_space(loop.killer_triangles[0], f"loop {loop.id}")
             if self._view is None:

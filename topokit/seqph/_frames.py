@@ -27,20 +27,14 @@ class Frame:
 
     @classmethod
     def of_all_points(cls, tree: cKDTree, alpha: float | None = None) -> Frame:
-        """Return the frame that uses all points, as in the paper.
-
-        When alpha is not given, it is half the largest distance from a point to its nearest neighbour.
-        """
+        """Return the frame that uses all points; alpha is by default half the largest distance to a nearest neighbour."""
         if alpha is None:
             alpha = spacing(tree)
         return cls(tree, np.arange(tree.n), alpha)
 
     @classmethod
     def without_outliers(cls, tree: cKDTree, alpha: float | None = None) -> Frame:
-        """Return the frame that leaves out points far from all others.
-
-        When alpha is not given, 95 % of the points have a neighbour within 2 alpha.
-        """
+        """Return the frame without points far from all others; by default 95 % of its points have a neighbour within 2 alpha."""
         ids, places, nearest = inliers_and_tree(tree)
         if places.n == 1:
             return cls(places, ids, alpha or 0.0)
@@ -55,11 +49,7 @@ class Frame:
         return cls(places, ids, alpha, fifth, min(by_fifth, by_nearest))
 
     def motion_since(self, before: Frame) -> tuple[Array, float]:
-        """Return the shift (d,) of the scene since an earlier frame, and how far its points have moved in addition.
-
-        The second number is a partial Hausdorff distance, of 90 % of the points of this frame and to those of the earlier one
-        only: a point that is hidden now has not moved.
-        """
+        """Return the shift (d,) since an earlier frame, and the partial Hausdorff distance beyond it, of 90 % of these points."""
         # The centroid of a still scene moves when a part of the scene is hidden or comes into view. So the shift of the centroid
         # is used only when the nearest quarter of the points fits the earlier scene better with the shift than without it.
         shift = self.tree.data.mean(axis=0) - before.tree.data.mean(axis=0)

@@ -115,10 +115,7 @@ class Loop:
 
 
 def loop_at(diagram: Diagram, bar: int, cloud: Array, ids: Ids, identity: int, edge_before: Array | None) -> Loop:
-    """Return the loop of a bar of the diagram of the points `ids` of a cloud.
-
-    `edge_before` (2, d) holds the places of its killer edge at its previous appearance, None for a new loop.
-    """
+    """Return the loop of a bar of the diagram of the points `ids`; `edge_before` (2, d) is where its last killer edge was."""
     killer_edge = ids[diagram.killer_edge[bar]]
     neighbours = ids[diagram.neighbours(bar)]
     sides = np.linalg.norm(cloud[neighbours] - cloud[neighbours[:, [2, 0, 1]]], axis=2)

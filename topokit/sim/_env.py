@@ -124,7 +124,7 @@ class HangEnv(gymnasium.Env[Observation, NDArray[np.float32]]):
         ----------
         seed : int, optional
             Seed of the place, the path and the noise; when not given, the generator goes on.
-        options : dict, optional
+        options
             Not used.
         """
         super().reset(seed=seed)

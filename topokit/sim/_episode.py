@@ -170,10 +170,7 @@ def usual_config(garment: Garment) -> SimulationConfig:
 
 
 def is_at_rest(before: Array, points: Array, seconds: float) -> bool:
-    """Return whether vertices that moved in so many seconds are at rest.
-
-    The limit is 0.3 m/s in the mean: a hung apron swings more slowly, and a falling one is faster after 0.03 s.
-    """
+    """Return whether vertices moved below 0.3 m/s in the mean: a hung apron swings more slowly, one that falls is faster."""
     return float(np.linalg.norm(points - before, axis=1).mean()) / seconds < 0.3
 
 

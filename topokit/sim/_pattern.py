@@ -209,10 +209,7 @@ def _without_chords(panel: Panel, seam: Ids) -> Panel:
 
 
 def sew(panels: Sequence[Panel], seams: Sequence[tuple[int, Ids, int, Ids]]) -> tuple[Array, Ids, list[Ids]]:
-    """Sew panels together; return vertices (n, 3), faces (f, 3) and for each panel the new ids of its vertices.
-
-    A seam (i, ids, j, other) makes one vertex, where panel i has it, of each vertex of `ids` and its partner in `other`.
-    """
+    """Sew panels; return vertices (n, 3), faces (f, 3) and the new ids by panel. A seam is (panel, ids, other panel, its ids)."""
     # Vertices that a seam joins are one component of a graph, of which the first vertex stays.
     first = np.cumsum([0, *(len(panel.vertices) for panel in panels)])
     pairs = np.concatenate([np.column_stack([first[i] + a, first[j] + b]) for i, a, j, b in seams])

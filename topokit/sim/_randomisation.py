@@ -57,10 +57,8 @@ class Randomisation:
 
         Parameters
         ----------
-        seed : int
-        config : SimulationConfig
-        garment : Garment
-        cameras : sequence of Camera
+        seed, config, garment, cameras
+            As in `simulate`.
         """
         # The physics, and the scale of the garment.
         drawn: dict[str, Any] = {}

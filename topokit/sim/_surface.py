@@ -64,10 +64,7 @@ def component_of(pairs: Ids, n: int) -> Ids:
 
 
 def count_components(faces: Ids) -> int:
-    """Return the number of components of a mesh; faces are joined by an edge, not by a vertex that they share.
-
-    trimesh joins faces only where exactly two meet; a strap that is sewn on makes edges of three.
-    """
+    """Return the number of components of a mesh; trimesh does not join at an edge of three faces, such as a strap makes."""
     edges, edge_of = np.unique(half_edges(faces), axis=0, return_inverse=True)
     face_of = np.repeat(np.arange(len(faces)), 3)
     ends = np.column_stack([face_of, len(faces) + edge_of.ravel()])

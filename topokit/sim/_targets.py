@@ -70,13 +70,7 @@ class _Target(ABC):
         return replace(self, place=(0.0, 0.0, 0.0), yaw=0.0)
 
     def holds(self, loop: ArrayLike) -> bool:
-        """Return whether a closed curve (L, 3) winds around the target: it links the closed centre line.
-
-        Raises
-        ------
-        ValueError
-            When the curve touches the centre line, or is no closed curve in space.
-        """
+        """Return whether a closed curve (L, 3) winds around the target: it links the closed centre line."""
         return self._links(loop, self._shape()[0])
 
     def _links(self, loop: ArrayLike, line: Array) -> bool:
@@ -91,10 +85,7 @@ class _Target(ABC):
 
 @checked
 class Hook(_Target):
-    """A pole with an arm towards the grippers and an upturned tip. Metres, z up; the arm points along -y.
-
-    A loop around the arm links the centre line. So does a loop around the tip or the pole, which is not off yet.
-    """
+    """A pole with an arm towards the grippers (-y) and an upturned tip. A loop around arm, tip or pole links the centre line."""
 
     height: Positive = 1.2  #: height of the arm's axis above the floor
     reach: Positive = 0.2  #: length of the arm, from the pole to the tip

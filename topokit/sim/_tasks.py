@@ -71,9 +71,8 @@ class Task:
 
         Parameters
         ----------
-        garment : Garment
-        target : Target
-        rng : numpy.random.Generator
+        garment, target, rng
+            As the plan takes them.
         """
         return self.plan(garment, target.unplaced(), rng).placed(target)
 
@@ -125,10 +124,7 @@ def carry_over_tip(
     opening: float = 1.0,
     rest: float = 1.05,
 ) -> GripperPath:
-    """Carry a true loop, by default the first, over the upturned tip, and lower it.
-
-    An `opening` above 1 turns straps to face the arm.
-    """
+    """Carry a true loop, by default the first, over the tip and lower it; an `opening` above 1 turns straps to the arm."""
     aside, below = _opening(garment, loop, opening)
     tip = target.centre_line[-1]
     seat = target.seat

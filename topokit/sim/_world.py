@@ -218,10 +218,7 @@ class World(contextlib.AbstractContextManager["World"]):
         return np.array([self._bullet("getBasePositionAndOrientation", body)[0] for body in self._grippers])
 
     def image(self, camera: Camera) -> tuple[Array, NDArray[np.bool_]]:
-        """Return a camera's image: depth (h, w) in metres, inf where nothing is, and the mask (h, w) of the cloth.
-
-        The first step must have been taken: before it the renderer draws the cloth in a wrong place.
-        """
+        """Return a camera's depth (h, w) in metres, inf where nothing is, and mask (h, w) of the cloth, after the first step."""
         size = (camera.width, camera.height)
         near = camera.near
         far = camera.far
