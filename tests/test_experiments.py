@@ -185,7 +185,7 @@ def test_the_papers_experiment_goes_from_films_to_a_table_and_goes_on(tmp_path, 
     (unknown,) = (tmp_path / "samples" / "validation" / "all").glob("mlp_without_sheet-*.csv")
     assert set(pd.read_csv(unknown)["garment"]) == {"sheet"}
     assert unknown.stem == "mlp_without_sheet-3-0-0.002-1"
-    experiment = paper.Experiment(protocol | small, tmp_path, EXPERIMENTS, 1, (3,), ("mlp",))
+    experiment = paper.Experiment(protocol | small, tmp_path, EXPERIMENTS, 1, ("mlp",))
     for films in experiment.training_films(3, ["sheet"]):
         assert len(films)
         assert "sheet" not in {dataset.record(number).garment for number in films.tolist()}

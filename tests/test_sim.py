@@ -3,13 +3,11 @@
 from __future__ import annotations
 
 import dataclasses
-import itertools
 import subprocess
 import sys
 
 import numpy as np
 import pytest
-from drape import KINDS, drape
 
 pytest.importorskip("pybullet")
 
@@ -160,13 +158,7 @@ def test_an_episode_elsewhere_is_the_same_moved():
     assert not task.succeeds(end, tote.named_loops, place)
 
 
-# Kinds of cloth.
-
-
-def test_kinds_of_cloth_drape_in_their_order():
-    """On a coarse square and for a moment only; `python book/experiments/drape.py` gives the figures of the finer one."""
-    measured = [drape(cloth, spacing=0.05, seconds=1.0) for cloth in KINDS.values()]
-    assert all(a + 0.005 < b for a, b in itertools.pairwise([0, *measured, 1])), measured
+# The cloth of a configuration.
 
 
 def test_mass_is_area_times_density_and_what_is_given_stays():

@@ -2,7 +2,7 @@
 
     python book/experiments/dataset.py --dataset runs/dataset --out book/results/dataset.json
 
-Needs a labelled dataset. Takes minutes on two cores. `--only PART` leaves the other parts out:
+Needs a labelled dataset. Takes minutes on two cores. The parts:
 
 scaling   the same episodes on one worker and on two, and what follows for 23,000 episodes on more cores by the law below
 windows   windows a second of a labelled dataset: alone, and through a DataLoader
@@ -27,7 +27,6 @@ from tables import write_results
 from topokit.data import DatasetConfig, WindowDataset, generate_dataset
 
 WANTED = 23_000
-PARTS = ("scaling", "windows")
 
 
 def scaling(folder: Path, episodes: int) -> list[dict[str, Any]]:
@@ -65,10 +64,7 @@ def law(rows: list[dict[str, Any]], jobs_a_second: float) -> dict[str, Any]:
     for cores in (1, 2, 16, 64):
         rate = min(cores / (seconds * (1 + cost * (cores - 1))), jobs_a_second)
         hours[cores] = WANTED / rate / 3600
-    # The cost that two workers have for each other is that of one memory bus; nodes of a cluster share none.
-    nodes = {cores: WANTED * seconds * (1 + cost) / cores / 3600 for cores in (16, 64)}
-    answer = {"seconds_an_episode": seconds, "cost": cost, "jobs_a_second": jobs_a_second}
-    return answer | {"hours": hours, "hours_on_nodes_of_2": nodes}
+    return {"seconds_an_episode": seconds, "cost": cost, "jobs_a_second": jobs_a_second, "hours": hours}
 
 
 def windows(folder: Path, batch: int = 64) -> list[dict[str, Any]]:
@@ -99,19 +95,15 @@ def windows(folder: Path, batch: int = 64) -> list[dict[str, Any]]:
 def main() -> None:
     """Measure the parts and print them."""
     parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
-    parser.add_argument("--only", choices=PARTS, nargs="+", default=PARTS)
     parser.add_argument("--dataset", type=Path, default=Path("data_small/dataset"), help="a labelled dataset")
     parser.add_argument("--episodes", type=int, default=40, help="for scaling (default 40)")
     parser.add_argument("--out", type=Path, help="where to write the answers (.json)")
     options = parser.parse_args()
     answers: dict[str, Any] = {}
     with tempfile.TemporaryDirectory(dir=options.dataset.parent) as temporary:
-        folder = Path(temporary)
-        if "scaling" in options.only:
-            answers["scaling"] = scaling(folder, options.episodes)
-            answers["law"] = law(answers["scaling"], dispatch())
-        if "windows" in options.only:
-            answers["windows"] = windows(options.dataset)
+        answers["scaling"] = scaling(Path(temporary), options.episodes)
+    answers["law"] = law(answers["scaling"], dispatch())
+    answers["windows"] = windows(options.dataset)
     print(json.dumps(answers, indent=1))
     if options.out:
         write_results(options.out, answers)

@@ -76,7 +76,7 @@ def other_physics(run: Run, _: int, rng: np.random.Generator) -> Run:
 
 
 TWINS = {"nudged": nudged, "other physics": other_physics}
-TOLD = ("known", *(name for twin in TWINS for name in (twin, f"{twin}, its places")), "motion")  # of all vertices
+TOLD = ("known", *TWINS, "motion")  # of all vertices
 
 
 def told(model: Any, futures: Sequence[Array]) -> Any:
@@ -129,7 +129,6 @@ def futures_of(film: Any, frame: int, twins: Mapping[str, Array], model: Any) ->
     moved = {"known": points[ahead]}
     for name, twin in twins.items():
         moved[name] = points[frame] + twin[ahead] - twin[frame]
-        moved[f"{name}, its places"] = twin[ahead]
     return moved | {"motion": forecast(model, points, film, frame)}
 
 

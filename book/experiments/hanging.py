@@ -33,7 +33,7 @@ from chapter_tools.dressing import PullOver
 from chapter_tools.throwing import Fence, Thrower
 from topokit._archive import atomic_file
 from topokit.control import Planner, Servo, hang
-from topokit.io import Episode, save_episode
+from topokit.io import Episode
 from topokit.linking import close_far, linking_number
 from topokit.models import Predictor
 from topokit.sim import TASKS as KNOWN
@@ -302,7 +302,6 @@ def main() -> None:
     parser.add_argument(
         "--steps", type=int, default=30_000, help="that ppo learns for, before its first episode of a task"
     )
-    parser.add_argument("--films", type=Path, help="a folder for the episodes of those that failed")
     parser.add_argument("--out", type=Path, default=Path("book/results/hanging.json"))
     options = parser.parse_args()
     rows = []
@@ -320,8 +319,6 @@ def main() -> None:
         if who == "ppo":
             row["learned_for"] = options.steps
         row["decision_ms"] = round(1000 * result.seconds_a_decision, 1)
-        if options.films and not result.success:
-            save_episode(options.films / f"{task} {who} {scene} {seed}.npz".replace("/", " per "), result.episode)
         rows.append(row | {"seconds": time.perf_counter() - began})
         with atomic_file(options.out) as file:
             file.write(json.dumps({"command": "python book/experiments/hanging.py", "episodes": rows}).encode())

@@ -106,8 +106,12 @@ class Experiment:
     folder: Path
     configs: Path  #: the folder that paths of the protocol are relative to
     workers: int
-    sizes: tuple[int, ...]
     networks: tuple[str, ...]
+
+    @property
+    def sizes(self) -> list[int]:
+        """Return the numbers of training films."""
+        return [self.protocol["training_films"], *self.protocol["curve"]["films"]]
 
     def generate(self, described: dict[str, Any], episodes: int, folder: str) -> Dataset:
         """Make the films that the protocol describes, or go on with them."""
@@ -262,7 +266,7 @@ class Experiment:
         found = [self.claimed(network) for network in self.networks]
         for films in curve["films"]:
             found += [(network, films, [curve["seed"]]) for network in self.networks if network in curve["networks"]]
-        return [training for training in found if training[1] in self.sizes]
+        return found
 
     def rate_of(self, network: str) -> float:
         """Return the rate of the best of some whole trainings, which differ in nothing else."""
@@ -539,7 +543,6 @@ def main(arguments: Sequence[str] | None = None) -> None:
     parser.add_argument("--work", type=Path, default=ROOT / "runs" / "paper", help="folder for films and trainings")
     parser.add_argument("--out", type=Path, default=ROOT / "book" / "results" / "paper.csv")
     parser.add_argument("--stages", nargs="+", choices=STAGES, default=STAGES)
-    parser.add_argument("--sizes", nargs="+", type=int, help="numbers of training films, of those of the protocol")
     parser.add_argument("--networks", nargs="+", help="of those of the protocol")
     parser.add_argument("--workers", type=int, default=1, help="processes for films and labels (default 1)")
     options = parser.parse_args(arguments)
@@ -550,7 +553,6 @@ def main(arguments: Sequence[str] | None = None) -> None:
         options.work,
         options.protocol.parent,
         options.workers,
-        tuple(options.sizes or [protocol["training_films"], *protocol["curve"]["films"]]),
         tuple(options.networks or protocol["networks"]),
     )
     stages = {
