@@ -198,7 +198,6 @@ def track(
     tracks = summarise_tracks(states, film.points, film.loops)
     rows = [{name: getattr(row, name) for name in names} for row in tracks]
 
-    # Write the tracks and the picture.
     if out is not None and out.suffix == ".npz":
         save_states(out, states)
     elif out is not None:

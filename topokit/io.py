@@ -148,7 +148,6 @@ def save_episode(path: str | Path, episode: Episode) -> Path:
     else:
         arrays["observed_ids"] = ids
 
-    # All else is text in the header.
     header: dict[str, Any] = {
         name: value for name, value in vars(episode).items() if name not in (*_EPISODE_LAYOUT, "loops")
     }

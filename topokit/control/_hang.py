@@ -100,7 +100,6 @@ def _run(env: gymnasium.Env[Any, Any], scene: HangEnv, controller: Any, seed: in
         if not ends:
             observation, _, terminated, truncated, info = env.step(action)
             ends = terminated or truncated or len(seconds) >= max_steps
-    # Record the outcome, and how the episode ended.
     episode = scene.episode(type(controller).__name__)
     loops = scene.garment.named_loops
     linked = tuple(name for name, loop in loops.items() if scene.target.holds(scene.vertices[loop]))

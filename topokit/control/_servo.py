@@ -145,10 +145,7 @@ class Servo:
         self._frames = deque[_Frame](maxlen=31 + self.options.cloud_delay)
 
     def act(self, observation: Mapping[str, Any]) -> NDArray[np.float32]:
-        """Return the next action (7,): a share of `max_step` along each axis for both grippers; above 0.5 the last lets go.
-
-        Nothing moves once there is a `reason` to give up.
-        """
+        """Return the next action (7,): a share of `max_step` along each axis for both grippers; above 0.5 the last lets go."""
         points, grippers, line = (np.array(observation[name], np.float64) for name in ("points", "grippers", "target"))
         arm = Arm.of(line)
         if arm is None:

@@ -197,9 +197,8 @@ def varied_garment(
 ) -> Garment:
     """Return the garment with each size but its spacing multiplied by a factor from 1 / (1 + vary) to 1 + vary.
 
-    Sizes are drawn again, at most 50 times, when the pattern refuses them, when the garment has over 1.25 times as many
-    vertices, and when it hangs down more than `longest` metres. After that the garment stays as it is. The spacing follows the
-    area of the cloth.
+    Sizes are drawn again, at most 50 times, when the pattern refuses them, when there are over 1.25 times as many vertices, and
+    when the garment hangs down more than `longest` metres. The spacing follows the area of the cloth.
     """
     spacing = garment.parameters["spacing"]
     extent = np.array(_extent(garment))

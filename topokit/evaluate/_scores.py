@@ -35,10 +35,7 @@ class Overlap:
 
 @dataclass(frozen=True)
 class Event:
-    """The outcome of an object or of a detection at a frame.
-
-    A "match" with another identity than the last one is a "switch". A "fragment" is added when the object had been lost.
-    """
+    """The outcome of an object or of a detection at a frame; a "switch" is a match with another identity than the last one."""
 
     frame: int  #: position in the sequence
     kind: Kind  #: one of the five

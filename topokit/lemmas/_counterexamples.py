@@ -39,8 +39,8 @@ def verify_step(
 
     Parameters
     ----------
-    before, observed_before, after, observed_after : array_like
-        S_t and S_t+1, both (n, d); O_t and O_t+1: (m,) ids of their points.
+    before, observed_before, after, observed_after
+        As in `gates`.
     """
     step = as_step(before, observed_before, after, observed_after)
     return {name: statement(step) for name, statement in STATEMENTS.items()}

@@ -64,10 +64,7 @@ def match_diagrams(
 def longest_unmatched(
     first: Diagram, second: Diagram, shift: float, *, one_sided: bool = False, tolerance: float = 0.0
 ) -> float:
-    """Return the lifetime of the longest bar of `first` that no matching reaches together with all longer ones, 0.0 for none.
-
-    No matching does better: the sets of bars that can be matched together are those of a matroid.
-    """
+    """Return the lifetime of the longest bar of `first` that no matching reaches together with all longer ones, 0.0 for none."""
     pair, _, _ = _costs(first, second, one_sided, tolerance)
     # Bars come longest first: count those that can still be matched together.
     longest = range(1, len(first) + 1)

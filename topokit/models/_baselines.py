@@ -151,9 +151,8 @@ class Carry(Hold):
 class Ridge(Hold):
     """Linear regression with a `penalty` on squared coefficients, from the last states and the plan to those of all steps.
 
-    The outputs are the change of the corners since the last appearance, the values and the presence. The inputs are the last
-    state of the slot, the grippers and the plan, all relative to the middle between the grippers. Absent loops do not count in
-    the regression of corners.
+    Places are relative to the middle between the grippers; for corners it is their change since the last appearance, of present
+    loops alone.
     """
 
     def __init__(self, shape: Shape, normalisation: Normalisation, penalty: float = 100.0) -> None:

@@ -51,7 +51,7 @@ class Codes(NamedTuple):
 
 
 class Motion(Model):
-    """Motion of points under plans, for 60 frames.
+    """Motion of points under plans, for 60 frames, by codes of `width` units.
 
     A scene is a dict of tensors of B windows, in metres:
 
@@ -65,17 +65,8 @@ class Motion(Model):
     ``floor``     (B,)              the height of the floor; far below where it is unknown
     ============  ================  ============================================================================
 
-    Parameters
-    ----------
-    shape : Shape
-        Its `points` are the most points of a cloud that are read.
-    normalisation : Normalisation
-        For the checkpoint; the network needs none.
-    width : int
-        Units of a point's code.
-    without : sequence of str
-        Parts that are left out, to measure what each is worth: ``target`` (target and floor are unknown), ``frame`` (inputs are
-        in the frame of the room), ``carry`` (the network predicts the whole motion, and no correction of being carried).
+    To measure what each part is worth, it can be named in `without`: ``target`` (target and floor are unknown), ``frame`` (inputs
+    are in the frame of the room), ``carry`` (the network predicts the whole motion, and no correction of being carried).
     """
 
     def __init__(

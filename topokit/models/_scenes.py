@@ -111,10 +111,7 @@ def scene_at(
 
 
 def flow(points: NDArray[np.floating], past: Sequence[cKDTree], grippers: NDArray[np.floating]) -> Array:
-    """Return (n, 3, 3) how points (n, 3) moved since each of 3 past clouds, without how the grippers (1 + 3, 2, 3) did; metres.
-
-    A point is carried back with the grippers. Its nearest neighbour in the cloud of then is where it came from.
-    """
+    """Return (n, 3, 3) how points (n, 3), carried back with the grippers (1 + 3, 2, 3), moved since each of 3 past clouds."""
     place = torch.from_numpy(np.ascontiguousarray(points, np.float64))
     hands = torch.from_numpy(np.ascontiguousarray(grippers, np.float64))
     count = len(past)

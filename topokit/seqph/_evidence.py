@@ -23,10 +23,9 @@ from ._frames import Frame
 
 @dataclass(frozen=True)
 class EvidenceRule:
-    """The rule that decides which bars are loops, with its thresholds.
+    """The rule that decides which bars are loops, with its thresholds; not tried on fewer than 128 points.
 
-    They were chosen on films of simulated garments (whole, thinned, noisy, with strays, and from one camera), which no table
-    of the book scores, and on points strewn at random on a sheet. The rule was not tried on fewer than 128 points.
+    They were chosen on films of simulated garments, which no table of the book scores, and on points strewn at random on a sheet.
     """
 
     even: float = 2.1  #: unevenness of points that keep their distance from each other

@@ -100,10 +100,6 @@ def within_gates(gates: str, loops: Candidates) -> list[tuple[int, int]]:
 
 
 def match_leaps(loops: Candidates) -> list[tuple[int, int]]:
-    """Return the matching of loops without a name and missed loops, of least total distance, of places within 2 beta.
-
-    A killer that leaps along an opening leaves its gate, so that its loop is missed and found as a new one. Each of the two
-    killers is within beta of the loop.
-    """
+    """Return the least-distance matching within 2 beta of loops without a name and missed loops: a killer that leaps its gate."""
     distance = hausdorff_table(loops.places, loops.known_places)
     return assign(distance, distance < 2 * loops.beta)

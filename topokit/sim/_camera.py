@@ -89,15 +89,12 @@ class Camera:
     def around(
         place: ArrayLike = (0.0, 0.1, 1.0), n: int = 3, *, distance: float = 1.6, noise: float = 0.0
     ) -> tuple[Camera, ...]:
-        """Return `n` cameras evenly around a place, all looking at it from 20 degrees above.
-
-        The first camera is in front of the place (towards -y).
+        """Return `n` cameras evenly around a place, all looking at it from 20 degrees above, the first from in front of it (-y).
 
         Parameters
         ----------
         place : (3,) array_like
         n : int
-            How many cameras.
         distance : float
             Distance of the cameras from the place, metres.
         noise : float

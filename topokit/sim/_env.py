@@ -104,7 +104,6 @@ class HangEnv(gymnasium.Env[Observation, NDArray[np.float32]]):
         self.config = config or replace(usual_config(self.garment), self_collision=False)
         self.max_step = 1.2 * self.config.frame_time  # metres, at 1.2 m/s along an axis
         self.max_steps = max_steps
-        # The spaces of actions and of observations.
         self.action_space = spaces.Box(-1.0, 1.0, (7,), np.float32)
         self._wanted_loops = list(self.task.wanted(self.garment.named_loops).values())
         self._needed = self.task.needed(self.garment.named_loops)
@@ -129,7 +128,6 @@ class HangEnv(gymnasium.Env[Observation, NDArray[np.float32]]):
         """
         super().reset(seed=seed)
         self.close()
-        # Draw the place and the path.
         place_rng, _, self._camera_rng = self.np_random.spawn(3)
         x, y, z, yaw = (place_rng.uniform(-1, 1, 4) * (0.4, 0.4, 0.1, 180.0)).tolist()
         if self.place == "anywhere":

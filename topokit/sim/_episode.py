@@ -95,7 +95,6 @@ def simulate(
     """
     task, garment, target = resolved(task, garment, target)
     config = config or usual_config(garment)
-    # Draw the physics, the size of the garment and the cameras.
     notes: dict[str, Any] = {"randomisation": None}
     if randomisation is not None:
         config, garment, cameras, drawn = randomisation.draw(seed, config, garment, cameras)

@@ -151,7 +151,6 @@ def off_script(path: GripperPath, garment: Garment, target: Target, rng: np.rand
         table["yaw"][approach:] += turn
         drawn["miss"] = float(np.linalg.norm(shift))
         drawn["turn"] = turn
-    # Change the openings along the path.
     if rng.random() < 0.5:
         drawn["openings"] = 1.0
         table["opening"][1:] *= rng.uniform(0.6, 1.4, len(table) - 1)
@@ -164,7 +163,6 @@ def off_script(path: GripperPath, garment: Garment, target: Target, rng: np.rand
         table["time"][i:] += 0.25
         table = _inserted(table, i, Via(time, place + aside, opening, yaw))
         drawn["detour"] = float(np.linalg.norm(aside))
-    # Stop at a place for 0.3 s.
     if rng.random() < 0.25:
         i = int(rng.integers(1, len(table)))
         drawn["stop"] = float(table["time"][i])
@@ -218,10 +216,9 @@ def _push(start: Any, seat: Array, drop: float, rng: np.random.Generator) -> Tab
 
 
 def _start_elsewhere(table: Table, garment: Garment, target: Target, rng: np.random.Generator) -> float:
-    """Change the start of a table to a free place before or beside the target, at any yaw.
+    """Change the start of a table to a free place before or beside the target, at any yaw; return its distance from the seat.
 
-    The cloth is then 5 cm or more above the floor, and 30 cm or more from the rods. Return the distance of the start from the
-    target's seat, or 0 when no free place is found.
+    The cloth is then 5 cm or more above the floor, and 30 cm or more from the rods. The distance is 0 when none is found.
     """
     cloth = garment.vertices - garment.vertices[garment.grips].mean(axis=0)
     start = table[0]

@@ -71,7 +71,6 @@ class Randomisation:
         if "scale" in drawn:
             parameters = {**garment.parameters, "scale": drawn["scale"]}
             garment = dataclasses.replace(garment, vertices=drawn["scale"] * garment.vertices, parameters=parameters)
-        # The cameras.
         rng = self.generator(seed, "cameras")
         moved = tuple(self._moved(camera, *rng.random(3)) for camera in cameras)
         if cameras:

@@ -227,11 +227,7 @@ def sheet(
     hole_drop: float = 0.16,
     hole_distance: float = 0.26,
 ) -> Garment:
-    """Return a rectangle of cloth with round holes side by side, or with none.
-
-    The middles of the holes lie `hole_drop` below the upper edge, z = 0; the true loops are their borders, the left one
-    (x < 0) first. The grips are the upper corners.
-    """
+    """Return a rectangle of cloth below z = 0 with round holes side by side, or with none; the grips are its upper corners."""
     sizes = _sizes(locals(), "holes", *(("hole_distance",) if holes == 1 else ()))
     half = width / 2
     low = -height
@@ -417,10 +413,7 @@ def net(
 
 
 def scarf(*, spacing: float = 0.03, length: float = 1.3, width: float = 0.26) -> Garment:
-    """Return an endless scarf (a snood): a band of that `width`, `length` around, as an ellipse twice as high as wide.
-
-    There is one class; the true loop is the front border of the band. The grips are on that border, near its top.
-    """
+    """Return an endless scarf: a band `length` around, as an ellipse twice as high as wide, held by its front border."""
     sizes = _sizes(locals())
     demand(length >= 8 * spacing, "length is too short for the spacing")
     panel, low, _, start, end = band([length], [width], spacing)
@@ -443,10 +436,7 @@ def belt(
     loop_radius: float = 0.07,
     loop_width: float = 0.035,
 ) -> Garment:
-    """Return a strap of cloth with a loop at its upper end, a ring of `loop_radius` inside and `loop_width`.
-
-    The true loop is the inner border of the ring. The grips are on the ring, left and right of its top.
-    """
+    """Return a strap of cloth with a loop at its upper end, a ring of `loop_radius` inside, by whose inner border it hangs."""
     sizes = _sizes(locals())
     outer = loop_radius + loop_width
     demand(loop_radius >= 1.2 * spacing, "loop_radius is too small for the spacing")

@@ -49,15 +49,12 @@ class HtmlFigure:
         Parameters
         ----------
         name : str
-            The name of the files.
         data : mapping
             JSON values and NumPy arrays for the script, which reads the arrays by its function `unpack`.
         height : int
             Height of the frame in CSS pixels.
-        caption : str
-            The text in the corner of the figure.
-        title : str
-            The name of the frame.
+        caption, title : str
+            The text in the corner of the figure, and the name of the frame.
         scripts : sequence of str
             Files that must run before `name`.js, in order.
         folder : Path, optional
