@@ -5,8 +5,6 @@
 
 from __future__ import annotations
 
-import copy
-
 import numpy as np
 import pytest
 from fuzz_rips import Case, check_cycles, length, sides
@@ -157,23 +155,6 @@ def test_search_that_gives_up_still_dies_with_its_loop(monkeypatch):
         check_cycles(Case(np.unique(rng.integers(0, 9, size=(10, 2)).astype(float), axis=0)))
     case = Case(MIXED)
     assert case.chain(case.fast.cycle(1)) == case.chain([1, 0, 2, 4])
-
-
-def test_cycles_of_the_polygon():
-    """Whole, cut off, of repeated points, and of a copy that has its cycles already."""
-    cloud = polygon(30)
-    whole = rips_persistence(cloud)
-    walk = whole.cycle(0).tolist()
-    assert sorted(walk) == list(range(30))
-    for other in (
-        rips_persistence(cloud, max_radius=0.5),
-        rips_persistence(cloud, max_radius=float(whole.birth[0])),
-        copy.deepcopy(whole),
-    ):
-        assert other.cycle(0).tolist() == walk
-    repeated = rips_persistence(np.repeat(cloud, 3, axis=0))
-    assert len(repeated) == 1
-    assert len(repeated.cycle(0)) <= 31  # all at its place in the ring but the birth edge's other end
 
 
 def test_cycles_do_not_depend_on_the_order_of_points():
