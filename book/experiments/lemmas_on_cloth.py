@@ -23,14 +23,11 @@ from typing import Any
 import numpy as np
 from scipy.spatial import cKDTree
 
-from topokit import farthest_point_sample, hausdorff, lemmas, rips_persistence
+from topokit import farthest_point_sample, lemmas, rips_persistence
 from topokit.data import Dataset
 from topokit.io import Episode, load_episode
-from topokit.linking import curve_centroid
 
 MEASURES = ("alpha", "epsilon", "distortion", "lifetime", "death", "beta_all", "beta_critical", "beta_intrinsic")
-PLACES = ("edge", "triangle", "barycentre", "cycle")
-QUANTILES = (0, 5, 25, 50, 75, 95, 100)
 
 
 @dataclass(frozen=True)
@@ -87,31 +84,6 @@ def largest_bound(check: Any, version: str) -> float:
     return max((row.bounds[version] for row in check.loops if version in row.bounds), default=float("nan"))
 
 
-def killer_jump(before: np.ndarray, after: np.ndarray) -> dict[str, float]:
-    """Return how far each place of the longest-lived loop jumps from one cloud to the next, as shares of its killer's length.
-
-    It is empty where an optimal matching of the two diagrams leaves the loop out.
-    """
-    first = rips_persistence(before)
-    second = rips_persistence(after)
-    partner = lemmas.match_diagrams(first, second).partner
-    if not len(partner) or partner[0] < 0:
-        return {}
-    j = partner[0]
-    length = 2 * first.death[0]
-    thick = before[first.killer_triangles[0, 0]]
-    thick_after = after[second.killer_triangles[j, 0]]
-    centroid = curve_centroid(before[first.cycle(0)])
-    centroid_after = curve_centroid(after[second.cycle(j)])
-    distances = {
-        "edge": hausdorff(before[first.killer_edge[0]], after[second.killer_edge[j]]),
-        "triangle": hausdorff(thick, thick_after),
-        "barycentre": np.linalg.norm(thick.mean(axis=0) - thick_after.mean(axis=0)),
-        "cycle": np.linalg.norm(centroid - centroid_after),
-    }
-    return {place: float(distance / length) for place, distance in distances.items()}
-
-
 def recorded(places: list[Path]) -> Iterator[tuple[str, Episode]]:
     """Yield the episodes among files and folders, by their names."""
     for place in places:
@@ -149,25 +121,6 @@ def observed_ids(points: np.ndarray, seen: np.ndarray, t: int) -> np.ndarray:
     return now
 
 
-def jumps(points: np.ndarray, seen: np.ndarray, frame: int, later: int) -> dict[str, float]:
-    """Return how far the longest-lived loop's places jump in a step, among the vertices and among those that are observed."""
-    now, then = (points[t].astype(float) for t in (frame, later))
-    ids, ids_then = (observed_ids(points[t], seen, t) for t in (frame, later))
-    found = {}
-    for name, before, after in (("states", now, then), ("observations", now[ids], then[ids_then])):
-        found |= {f"jump_{place}_{name}": jump for place, jump in killer_jump(before, after).items()}
-    return found
-
-
-def jump_shares(rows: list[dict[str, Any]]) -> dict[str, dict[str, float | int]]:
-    """Return the share of steps in which the places jump by more than half the killer's length."""
-    table: dict[str, dict[str, float | int]] = {}
-    for what in (f"jump_{place}_{cloud}" for cloud in ("states", "observations") for place in PLACES):
-        values = [r[what] for r in rows if what in r]
-        table[what] = {"steps": len(values), "above_half": round(float(np.mean([v > 0.5 for v in values])), 4)}
-    return table
-
-
 def row(garment: str, step: StepCheck) -> dict[str, Any]:
     """Return the row of a step: the constants, and for the corollary the distance of killers with its bounds."""
     numbers = {name: getattr(step, name) for name in MEASURES}
@@ -190,19 +143,6 @@ def short(x: Any) -> Any:
     if not math.isfinite(x):
         return None
     return float(f"{x:.4g}")
-
-
-def distributions(steps: list[StepCheck]) -> dict[str, dict[str, float | int | None]]:
-    """Return quantiles of the constants over steps, and over how many steps each is defined."""
-    table = {}
-    for name in MEASURES:
-        values = np.array([getattr(step, name) for step in steps])
-        values = values[np.isfinite(values)]
-        quantiles = [math.nan] * len(QUANTILES)
-        if len(values):
-            quantiles = np.percentile(values, QUANTILES).tolist()
-        table[name] = {f"{q}%": short(x) for q, x in zip(QUANTILES, quantiles, strict=True)} | {"n": len(values)}
-    return table
 
 
 def shares(steps: list[StepCheck]) -> list[dict[str, Any]]:
@@ -247,28 +187,22 @@ def main() -> int:
         command += f" --observed {options.observed}"
 
     # Check every step of every film.
-    by_garment: dict[str, list[StepCheck]] = {}
+    everything: list[StepCheck] = []
     rows = []
     listed = []
     for name, episode in films:
         seen, how = observe(episode, options.observed)
         print(f"{name}: {episode.garment}, {len(episode)} frames, {how}", file=sys.stderr)
         steps = verify_episode(episode.points, seen, options.stride)
-        by_garment.setdefault(episode.garment, []).extend(steps)
-        for step in steps:
-            moved = jumps(episode.points, seen, step.frame, step.frame + options.stride)
-            rows.append({key: short(x) for key, x in (row(episode.garment, step) | moved).items()})
+        everything += steps
+        rows += [{key: short(x) for key, x in row(episode.garment, step).items()} for step in steps]
         listed.append({"file": name, "garment": episode.garment, "steps": len(steps), "observed": how})
 
-    # Tables over all steps, and over those of each garment.
-    everything = [step for steps in by_garment.values() for step in steps]
     answer = {
         "command": command,
         "unit": "m",
         "episodes": listed,
         "statements": shares(everything),
-        "killers_jump": jump_shares(rows),
-        "distributions": {name: distributions(steps) for name, steps in {"all": everything, **by_garment}.items()},
         "steps": {name: [r.get(name) for r in rows] for name in dict.fromkeys(key for r in rows for key in r)},
     }
     options.out.parent.mkdir(parents=True, exist_ok=True)
