@@ -61,9 +61,9 @@ def linking_number(curve_a: ArrayLike, curve_b: ArrayLike) -> int:
 
 
 def linking_numbers(curves_a: ArrayLike, curves_b: ArrayLike) -> tuple[NDArray[np.int64], Array]:
-    """Return the linking numbers (B,) of many pairs of curves at once, and the rounding errors of their Gauss integrals.
+    """Return the linking numbers (B,) of many pairs of curves at once, and the rounding errors (B,) of their Gauss integrals.
 
-    The rounding error, (B,), is the difference from the integer: about 1e-14 for a hundred segments that are not close.
+    An error is about 1e-14 for a hundred segments that are not close.
 
     Parameters
     ----------
@@ -80,9 +80,8 @@ def linking_numbers(curves_a: ArrayLike, curves_b: ArrayLike) -> tuple[NDArray[n
     --------
     >>> square = np.array([[1, 0, 0], [0, 1, 0], [-1, 0, 0], [0, -1, 0]])
     >>> pole = close_far([[0, 0, 0], [0, 0, 1]])
-    >>> numbers, errors = linking_numbers([square + [0, 0, 0.5], square + [3, 0, 0.5]], pole)
-    >>> numbers.tolist(), bool(abs(errors).max() < 1e-12)
-    ([1, 0], True)
+    >>> linking_numbers([square + [0, 0, 0.5], square + [3, 0, 0.5]], pole)[0].tolist()
+    [1, 0]
     """
     a = _batch(curves_a, "curves_a")
     b = _batch(curves_b, "curves_b")

@@ -111,7 +111,6 @@ class LoopMixture:
         ----------
         n : int
         rng : numpy.random.Generator or int, optional
-            A generator or the seed of one.
         """
         generator = np.random.default_rng(rng)
 
@@ -146,14 +145,11 @@ class LoopMixture:
         return np.asarray(log_density[0] if is_point else log_density)
 
     def density(self, n: int = 48, *, extent: float = 3.0) -> tuple[tuple[Array, ...], Array]:
-        """Return a grid of n places along each of the d axes, d arrays (n,), and the density (n,) * d on it.
-
-        The order of the values is that of ``numpy.meshgrid(*axes, indexing="ij")``.
+        """Return a grid of n places along each of the d axes, d arrays (n,), and the density (n,) * d on it ("ij" of a meshgrid).
 
         Parameters
         ----------
         n : int
-            How many places along each axis.
         extent : float
             How many standard deviations of every component, on either side of its mean, the grid covers.
         """
@@ -177,7 +173,6 @@ class LoopMixture:
         n : int
             How many samples the estimate uses.
         rng : numpy.random.Generator or int, optional
-            As in `sample`.
         """
         samples = self.sample(n, rng)
         ranked = np.sort(self.log_prob(samples))

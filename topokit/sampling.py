@@ -69,9 +69,7 @@ def farthest_point_sample(points: ArrayLike, n: int, start: int | None = 0) -> t
 
 
 def covering_radius(dense: ArrayLike, sample: ArrayLike | cKDTree) -> float:
-    """Return the largest distance from a point of `dense` to its nearest point of `sample`: the paper's alpha.
-
-    This is the directed Hausdorff distance, in the unit of the points.
+    """Return the largest distance from a point of `dense` to its nearest point of `sample`: the paper's alpha, in their unit.
 
     Parameters
     ----------
@@ -134,26 +132,19 @@ def hausdorff_table(a: Array, b: Array) -> Array:
 
 
 def inliers(points: ArrayLike | cKDTree, *, factor: float = 2.5) -> Ids:
-    """Return the ids of the points that are not alone: statistical outlier removal.
+    """Return the ids (k,) of the points that are not alone, in ascending order: statistical outlier removal.
 
     A point is left out when its fifth nearest other place is farther than `factor` times the median of these distances. This is
     done twice, since outliers raise the median. Repeated points count as one place. On cloth, however it was sampled, the
     ratio was never above 2.1; of points strewn about it few are below the default.
+
+    Source: Rusu et al. 2008, *Towards 3D point cloud based object maps for household environments*.
 
     Parameters
     ----------
     points : (n, d) array_like
         Points, or a tree of them.
     factor : float
-
-    Returns
-    -------
-    (k,) int64
-        Ids of the other points, in ascending order.
-
-    Notes
-    -----
-    Rusu, Marton, Blodow, Dolha and Beetz 2008, *Towards 3D point cloud based object maps for household environments*.
 
     Examples
     --------

@@ -207,7 +207,6 @@ class Dataset(NumberedFiles):
         ----------
         episode : int
         name : str
-            Name of the set of labels.
         """
         labels = self.labels(name)
         film = self[episode]

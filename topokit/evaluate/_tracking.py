@@ -171,7 +171,6 @@ def compare(
     Parameters
     ----------
     states, truth : sequences of TopologicalState and TrueLoops
-        Of the same frames.
     similarity : callable
         Takes the `TrueLoops` and the `TopologicalState` of a frame, and returns similarities (true loops, tracked loops) from 0
         to 1. The default is 1 - distance of the centres / (2 radius of the true loop), not below 0.

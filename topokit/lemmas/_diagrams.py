@@ -99,10 +99,8 @@ def observability(state: ArrayLike | Step, observed: Given = None) -> Check:
 
     Parameters
     ----------
-    state : (n, d) array_like, or Step
-        S_t; or a step that holds all, as in the other statements.
-    observed : array_like, optional
-        O_t: (m,) ids of points of S_t; all of them when not given.
+    state, observed
+        As in `feature_approximation`.
     """
     step = as_step(state, observed)
     alpha = step.before.alpha

@@ -33,7 +33,7 @@ def recovering_killers(state: ArrayLike | Step, observed: Given = None) -> Check
     Parameters
     ----------
     state, observed
-        As in `observability`.
+        As in `feature_approximation`.
     """
     step = as_step(state, observed)
     s = step.before

@@ -127,9 +127,8 @@ class Step:
     def distortion(self) -> float:
         """Return half the largest change of a distance between two points, which bounds the change of filtration values.
 
-        It is never above epsilon, and it is zero for a rigid motion, however fast. Where a statement uses epsilon to bound a
-        change of filtration values, the distortion is enough; where it bounds how far an edge moves, epsilon is needed. The
-        distortion bounds the bottleneck distance of Rips diagrams: Chazal, de Silva and Oudot 2014.
+        It is never above epsilon, and it is zero for a rigid motion, however fast. It does not bound how far an edge moves. It
+        bounds the bottleneck distance of Rips diagrams: Chazal, de Silva and Oudot 2014.
         """
         return float(np.abs(self.after.distances - self.before.distances).max(initial=0.0)) / 2
 

@@ -15,10 +15,9 @@ from ._states import NUMBERS, StateTensors, Window
 
 
 class MLP(PredictiveModel):
-    """Fully connected network of `hidden` units, in the coordinates of the room.
+    """Fully connected network of `hidden` units, in the coordinates of the room, on the first `points` of a cloud.
 
-    It reads the first `points` of a cloud: clouds come in farthest-point order. With `skip` its outputs are offsets from the
-    planned middle of the grippers (`carried_middle`), and it need not learn to copy the plan.
+    With `skip` its outputs are offsets from the planned middle of the grippers, and it need not learn to copy the plan.
     """
 
     def __init__(

@@ -137,9 +137,8 @@ class Predictor:
 class MotionPredictor(Predictor):
     """Forecasts by a `Motion`: of the cloud, and of the loops that the tracker sees in the present cloud.
 
-    There are two tiers. The fast one, for many plans, moves the corners of each loop's triangles and no other points. The exact
-    one moves the whole cloud under one plan. At the frames that `exact` names it finds each loop's killer anew in the moved
-    cloud (`topokit.follow`), and the loops that open there.
+    There are two tiers. The fast one, for many plans, moves the corners of each loop's triangles alone. The exact one moves the
+    whole cloud under one plan and finds each loop's killer anew, and the loops that open (`topokit.follow`).
     """
 
     model: Motion

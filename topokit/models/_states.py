@@ -186,8 +186,7 @@ def past_of(states: Sequence[TopologicalState], slots: int) -> Window:
 def corners_of(triangles: Tensor, values: Tensor) -> tuple[Tensor, Tensor]:
     """Return corners (N, 8, 3) and neighbour values (N, 4) of labels: triangles (N, 6, 3, 3) and values (N, 6).
 
-    Labels list the neighbours without gaps, so a neighbour is identified by the edge that it shares. The apex of an absent
-    neighbour is the middle of that edge.
+    A neighbour is identified by the edge that it shares. The apex of an absent neighbour is the middle of that edge.
     """
     corners = torch.cat([triangles[:, 0], triangles[:, 1, 2:]], dim=1)  # (N, 4, 3): x, y, z1, z2
     outer = corners[:, [triangle[:2] for triangle in TRIANGLES[2:]]]  # (N, 4 edges, 2, 3)

@@ -78,9 +78,8 @@ class EvidenceRule:
     def evidence(self, birth: Array, death: Array, frame: Frame, *, compared: bool = True) -> Array:
         """Return the log-odds that bars of a frame are loops, by this frame alone.
 
-        They are `compared` with each other when they are all bars of the frame's diagram: a loop needs a significance of 1,
-        or less where the other bars have little. Few clouds have four loops, so that the fourth bar is taken for noise. A bar
-        born above the spacing is not of a cycle that is seen well, and needs 1.
+        They are `compared` with each other when they are all bars of the frame's diagram: a loop needs a significance of 1, or
+        less where the other bars have little; the fourth bar is taken for noise. A bar born above the spacing needs 1.
         """
         significance = self.significance(birth, death, frame)
         needed: Array | float = 1.0

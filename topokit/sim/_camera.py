@@ -50,10 +50,8 @@ class Camera:
 
         Parameters
         ----------
-        depth : (h, w) array
-            Depths in metres.
-        mask : (h, w) array of bool
-            The pixels of the cloth.
+        depth, mask : (h, w) arrays
+            Metres, and bool.
         rng : numpy.random.Generator
         """
         # Lateral noise, 0.8 pixels: each pixel takes the value of a pixel near it, so that outlines become ragged.
@@ -72,9 +70,8 @@ class Camera:
 
         Parameters
         ----------
-        depth : (h, w) array_like
-            Metres along the direction of view, not along the ray.
-        mask : (h, w) array_like of bool
+        depth, mask : (h, w) array_like
+            Metres along the direction of view, not along the ray; and bool.
         """
         metres = np.asarray(depth, dtype=np.float64)
         rows, columns = np.nonzero(np.asarray(mask, dtype=bool))

@@ -127,8 +127,7 @@ def off_script(path: GripperPath, garment: Garment, target: Target, rng: np.rand
     """Return a path that differs from the script, which was planned for the garment and the target before it is placed.
 
     One path in seven wanders about the target, and one in ten pushes the cloth against it. The others follow the script at
-    another pace, with some of these changes: a miss, other openings, a detour, a stop, another start and yaw. The release may
-    be early, late, or never.
+    another pace, with changes: a miss, other openings, a detour, a stop, another start and yaw, another release or none.
     """
     table = path.table.copy()
     drawn: dict[str, float] = {}

@@ -128,7 +128,7 @@ def cut(
 ) -> Panel:
     """Cut a pattern drawn in (x, z) out of the plane y = 0; `fixed` are inner vertices, each (k, 2), to keep where they are.
 
-    The outline and each hole are closed chains of polylines, counter-clockwise, whose joints stay vertices.
+    Outline and holes are closed chains of polylines, counter-clockwise, whose joints stay vertices.
     """
     # Vertices: the borders at the spacing, those that are fixed, and a lattice inside that keeps clear of both.
     lines = [[_resample(line, spacing) for line in border] for border in (outline, *holes)]

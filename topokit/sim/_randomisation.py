@@ -42,8 +42,7 @@ class Randomisation:
         Parameters
         ----------
         seed : int
-        purpose : str
-            "path", "physics", "cameras", "noise", "sizes", "place" or "script".
+        purpose : {"path", "physics", "cameras", "noise", "sizes", "place", "script"}
         """
         purposes = ("path", "physics", "cameras", "noise", "sizes", "place", "script")  # new ones at the end
         return np.random.default_rng(np.random.SeedSequence(seed, spawn_key=(purposes.index(purpose),)))

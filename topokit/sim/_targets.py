@@ -106,8 +106,7 @@ class Hook(_Target):
 class Hanger(_Target):
     """A clothes hanger on a rail, as in a wardrobe: the rail runs along x, one arm of the hanger points at the grippers.
 
-    Two arms slope down from the stem, each with an upturned end. A strap hangs when it is around an arm; a strap around
-    the stem is around both. Two posts carry the rail.
+    A strap hangs when it is around one of the two sloping arms, which have upturned ends; one around the stem is around both.
     """
 
     height: Positive = 1.3  #: height above the floor of the place where the arms' axes meet under the stem

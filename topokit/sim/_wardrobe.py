@@ -50,10 +50,9 @@ def apron(
     waist_strap_length: float = 0.90,
     waist_strap_width: float = 0.06,
 ) -> Garment:
-    """Return an apron with one loop, its neck strap, or with two.
+    """Return an apron with one loop, its neck strap, or with two, in the plane y = 0 with the top of its bib at z = 0.
 
-    It hangs in the plane y = 0 with the top of its bib at z = 0. The true loop is the border of the neck opening. With
-    `loops=2` a second strap closes behind the waist (towards +y), and the second true loop runs along its upper border and
+    With `loops=2` a second strap closes behind the waist (towards +y), and the second true loop runs along its upper border and
     across the apron. The grips are on the neck strap, at a third of its length from either end.
     """
     sizes = _sizes(locals(), "loops", *(("waist_strap_length", "waist_strap_width") if loops == 1 else ()))
@@ -187,11 +186,10 @@ def mask(
     strap_width: float = 0.03,
     strap_span: float = 0.12,
 ) -> Garment:
-    """Return a face mask with two ear loops, hung by one of them, the other one below.
+    """Return a face mask with two ear loops, hung by the upper one.
 
     The cloth is cupped by `depth` towards -y and its sides bow out by `bow`; `strap_span` lies between the middles of a
-    strap's ends. There are two classes; the true loops are the borders of the openings, the upper one first. The grips are
-    on the upper ear loop.
+    strap's ends. The true loops are the borders of the openings, the upper one first.
     """
     sizes = _sizes(locals())
     half = width / 2
@@ -258,12 +256,11 @@ def tote(
     handle_width: float = 0.052,
     handle_span: float = 0.20,
 ) -> Garment:
-    """Return a bag open at its top, whose panels bulge to `depth`, with one handle or two.
+    """Return a bag open at its top, whose panels bulge to `depth`, with one handle or two, and as many classes of loops.
 
-    A tote has as many classes as handles: the bag closes its open top. One handle runs over the top from side to side; of
-    two, each stands on its own panel, `handle_span` between the middles of its ends. A true loop is the border of the
-    opening under a handle. The grips are on the one handle, or one on each of the two. When `handle_length` is not given, one
-    handle is 0.72 m long, and each of two 0.50 m.
+    One handle runs over the top from side to side; of two, each stands on its own panel, `handle_span` between the middles of
+    its ends. A true loop is the border of the opening under a handle. When `handle_length` is not given, one handle is 0.72 m
+    long, and each of two 0.50 m.
     """
     demand(handles in (1, 2), "handles must be 1 or 2")
     if handle_length is None:
@@ -335,11 +332,10 @@ def backpack(
     strap_width: float = 0.05,
     strap_angle: float = 40.0,
 ) -> Garment:
-    """Return a backpack open at its top: a back, a box below its lower half, two straps.
+    """Return a backpack open at its top: a back, a box below its lower half, two straps with a grip on each.
 
     The straps join the sides of the back at its top and just above the box, and are folded by `strap_angle` from the plane
-    of the back towards +y. There are two classes; each true loop is the border of the opening between a strap and the back,
-    the left one (x < 0) first. There is one grip on each strap.
+    of the back towards +y. Each true loop is the border of the opening between a strap and the back, the left one (x < 0) first.
     """
     sizes = _sizes(locals())
     half = width / 2
