@@ -5,7 +5,7 @@
 Needs a labelled dataset. Takes minutes on two cores. The parts:
 
 scaling   the same episodes on one worker and on two, and what follows for 23,000 episodes on more cores by the law below
-windows   windows a second of a labelled dataset: alone, and through a DataLoader
+windows   windows a second of a labelled dataset, through a DataLoader
 
 The law: with s seconds an episode on a core, W workers make 3600 W / (s (1 + c (W - 1))) episodes an hour, for the part c that
 workers cost each other, measured from 1 and 2. A fresh process for each episode is the other limit, measured with empty jobs.
@@ -20,7 +20,6 @@ from concurrent.futures import ProcessPoolExecutor
 from pathlib import Path
 from typing import Any
 
-import numpy as np
 import torch
 from tables import write_results
 
@@ -68,19 +67,10 @@ def law(rows: list[dict[str, Any]], jobs_a_second: float) -> dict[str, Any]:
 
 
 def windows(folder: Path, batch: int = 64) -> list[dict[str, Any]]:
-    """Return windows a second: one by one, and in batches by a loader with some workers."""
+    """Return windows a second in batches by a loader with some workers."""
     torch.set_num_threads(1)
-    start = time.perf_counter()
-    data = WindowDataset(folder, n_points=128)
-    row: dict[str, Any] = {"windows": len(data), "index_s": time.perf_counter() - start}
-    start = time.perf_counter()
-    data.load()
-    row["decode_s_an_episode"] = (time.perf_counter() - start) / len(data.episodes)
-    chosen = np.random.default_rng(0).integers(len(data), size=5000)
-    start = time.perf_counter()
-    for i in chosen.tolist():
-        data[i]
-    rows = [row | {"windows_a_second": len(chosen) / (time.perf_counter() - start)}]
+    data = WindowDataset(folder, n_points=128).load()
+    rows = []
     for processes in (0, 1, 2):
         sampler = torch.utils.data.RandomSampler(data, replacement=True, num_samples=100 * batch)
         batches = iter(torch.utils.data.DataLoader(data, batch, sampler=sampler, num_workers=processes))

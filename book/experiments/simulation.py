@@ -57,18 +57,14 @@ def overhead(name: str, spacing: float, blocks: int = 60, steps: int = 20) -> di
 
 
 def cost(name: str, spacing: float) -> dict[str, Any]:
-    """Return seconds of one episode, in a process of its own, and how much of it the process costs."""
+    """Return seconds of one episode, in a process of its own."""
     target = "mannequin" if name in ("shirt", "vest") else "hook"
     garment = WARDROBE[name](spacing=spacing)
     start = time.perf_counter()
     episode = simulate(garment, task=f"{name}-{target}", n_observed=100)
     seconds = time.perf_counter() - start
     steps = round((len(episode) * episode.dt + SimulationConfig().settle) / SimulationConfig().dt)
-    row = {"garment": name, "target": target, "vertices": len(garment.vertices), "steps": steps, "seconds": seconds}
-    start = time.perf_counter()
-    short = SimulationConfig(frames=2, steps_per_frame=1, settle=0.0)
-    simulate(garment, task=f"{name}-{target}", n_observed=100, config=short)
-    return {**row, "process_seconds": time.perf_counter() - start}
+    return {"garment": name, "target": target, "vertices": len(garment.vertices), "steps": steps, "seconds": seconds}
 
 
 def recorded(folder: Path) -> list[dict[str, Any]]:
@@ -78,7 +74,7 @@ def recorded(folder: Path) -> list[dict[str, Any]]:
     seconds = {row["episode"]: row["seconds"] for row in map(json.loads, lines)}
     rows = []
     for record in dataset.records:
-        row = {"task": record.task, "seed": record.episode, "seconds": seconds.get(record.episode, math.nan)}
+        row = {"task": record.task, "seconds": seconds.get(record.episode, math.nan)}
         if record.status == "ok":
             row |= {"success": record.success, "vertices": dataset[record.episode].points.shape[1]}
             row |= record.physics["stretch"]
@@ -106,7 +102,6 @@ def by_task(rows: list[dict[str, Any]]) -> Iterator[dict[str, Any]]:
             "seconds": statistics.median(row["seconds"] for row in mine),
             "p99": max((row["p99"] for row in good), default=math.nan),
             "worst": max((row["worst"] for row in good), default=math.nan),
-            "failed": [row["seed"] for row in mine if "rejected" in row or not row["success"]],
         }
 
 
