@@ -86,7 +86,8 @@ def list_edges(data, tree, shortest, longest, keys, lengths):
         b = a
         while b <= last_leaf:
             # The next leaves, all in a row, that are not too far.
-            if between_boxes(low, high, a, b)[0] >= longest:
+            least, most = between_boxes(low, high, a, b)
+            if least >= longest or most < shortest:
                 b += 1
                 continue
             first = start[b]
@@ -214,7 +215,7 @@ def first_window(data):
 
 
 @compiled
-def next_window(shortest, longest, m):
-    """Return the bound of the window after one with m edges: as many again or more, and not too many more."""
-    ratio = max(1.0, 0.5 * WINDOW / (m + 1))
+def next_window(shortest, longest, m, some):
+    """Return the bound of the window after one with m edges: about `some` edges, if these are not fewer than m."""
+    ratio = max(1.0, some / (m + 1))
     return longest + max(min(longest, ratio * (longest - shortest)), 1e-6 * longest)

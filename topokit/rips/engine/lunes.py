@@ -11,7 +11,7 @@ import numpy as np
 
 from . import compiled, inlined
 from .edges import are_points, edge_length, ends_of, precedes
-from .tree import nearby_point
+from .tree import between_boxes, nearby_point
 
 ONE = np.uint64(1)
 # The powers of two differ modulo 67, so that the remainder determines which bit is set.
@@ -43,6 +43,21 @@ def join(rows, x, y):
     """Set the bits of the edge {x, y}."""
     rows[x, y >> 6] |= ONE << np.uint64(y & 63)
     rows[y, x >> 6] |= ONE << np.uint64(x & 63)
+
+
+@compiled
+def join_edges(points, tree, rows, shortest, longest):
+    """Set the bits of all edges with shortest <= length < longest, and perhaps of shorter ones."""
+    start = tree.start
+    end = tree.end
+    for a in range(tree.first_leaf, len(start)):
+        for b in range(a, len(start)):
+            least, most = between_boxes(tree.low, tree.high, a, b)
+            if least < longest and most >= shortest:
+                for x in range(start[a], end[a]):
+                    for y in range(start[b], end[b]):
+                        if edge_length(points, x, y) < longest:
+                            join(rows, x, y)
 
 
 @compiled

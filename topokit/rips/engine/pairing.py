@@ -1,32 +1,54 @@
-"""The pairing of a cloud's edges, compiled."""
+"""The pairing of a cloud's edges, compiled, and the landmarks that show where nothing happens.
+
+Idea: let L be some points of a large cloud P, its *landmarks*, such that every point has one within eps. A map that takes each
+point to its nearest landmark lengthens no edge by more than 2 eps, and L is a part of P. So the loops of L that are born before
+the length r and die after s + 2 eps are different loops of P from r to s. If P has no other loop alive at r, and no edge with an
+empty lune is to come, then nothing is born and nothing dies up to s: these edges are joined, and neither sorted nor tested. The
+proof is in appendix B.
+"""
 
 from __future__ import annotations
 
 import numpy as np
 from numba import njit
 
+from ...sampling import farthest_point_sample
 from ..pairing import root_of as root_of_plain
 from . import compiled
-from .edges import are_points, edge_length, edges_between, ends_of, first_window, new_edges, next_window
-from .lunes import count_components, find_middles, has_bit, is_cone, is_connected, join, new_grid, new_lune, write_lune
+from .edges import WINDOW, are_points, edge_length, edges_between, ends_of, first_window, new_edges, next_window
+from .lunes import (
+    count_components,
+    find_middles,
+    has_bit,
+    is_cone,
+    is_connected,
+    join,
+    join_edges,
+    new_grid,
+    new_lune,
+    write_lune,
+)
 from .relations import add_edge, add_loop, kill_loops, new_graph, new_loops
 from .stop import greatest_length, last_empty
 from .tree import build_tree, first_numbers, tree_of_matrix
+
+LARGE = 3000  # points from which on landmarks are worth their time
 
 root_of = compiled(root_of_plain)
 
 
 @compiled
-def next_change(rows, keys, lengths, e, m, longest, alive, bits, left, stop):
+def next_change(rows, keys, lengths, e, m, longest, last, until, alive, bits, left, stop):
     """Join edges from the e-th on until one changes something; return its number + 1, and a vertex of its lune, -1 for none.
 
-    Edges longer than `longest` are not read; where one comes, or all m are read, the second number is -2.
+    Edges longer than `longest` are not read; where one comes, or all m are read, the second number is -2. Edges between the
+    lengths `last` and `until` are joined only.
     """
     z = -2
     while e < m and z == -2 and stop[0] == 0 and lengths[e] <= longest:
         # A cone changes nothing, nor does a connected lune; while no loop is alive, none can be killed either.
         x, y, middle = ends_of(keys[e])
-        if not is_cone(rows, x, y, middle):
+        if not last < lengths[e] < until and not is_cone(rows, x, y, middle):
             z = write_lune(rows, x, y, bits)
             if has_bit(bits, middle):
                 z = middle
@@ -52,12 +74,23 @@ def take_edge(data, label, row):
     return np.sqrt(length) if are_points(data) else length
 
 
-@njit(error_model="numpy", nogil=True, cache=True)
-def pair_edges(data, max_length, stop):
-    """Pair the edges that create loops with the edges that kill them, as `topokit.rips.pairing.pair_edges` does.
+@compiled
+def end_of_gap(bars, alive, length, scale):
+    """Return a length before which the loops alive at a length survive, 0 if `bars` (`pair_edges`) do not show one."""
+    if alive == 0:
+        return np.inf
+    for k in range(len(bars)):
+        alive -= (2.0 * scale * bars[k, 0]) ** 2 < length
+        if alive == 0:
+            return (2.0 * scale * bars[k, 1]) ** 2
+    return 0.0
 
-    `data` holds (n, 3) points or an (n, n) matrix of distances, n >= 4. Lengths are squared for points. Another thread writes
-    something other than 0 into `stop` (1,) to end the run; then the result is incomplete.
+
+@njit(error_model="numpy", nogil=True, cache=True)
+def pair_with(data, max_length, stop, bars):
+    """Pair the edges as `pair_edges` does.
+
+    Each of `bars` (k, 2) says that a loop that is born before one radius lives longer than a second one, the longest first.
     """
     n = len(data)
     if are_points(data):
@@ -82,7 +115,9 @@ def pair_edges(data, max_length, stop):
     n_components = n
     greatest = min(greatest_length(data, tree), max_length)  # the greatest length that matters
     beyond = greatest * (1.0 + 1e-12) + 5e-324
-    last = -1.0  # the length of the last edge with an empty lune, once it is known
+    last = np.inf  # the length of the last edge with an empty lune, once it is known
+    until = 0.0  # after that edge, and before this length, nothing dies
+    some = WINDOW >> 4 if len(bars) else WINDOW >> 1  # edges in a window: fewer where a gap may follow
     shortest = 0.0
     longest = min(max(first_window(data), 1e-6 * greatest, 5e-324), beyond)
     edges = new_edges(min(n * n, 1 << 16))
@@ -94,11 +129,14 @@ def pair_edges(data, max_length, stop):
             find_middles(tree, grid, edges.keys, m)
         e = np.int64(0)
         while e < m:
-            bound = min(max_length, last) if alive == 0 and last >= 0 else max_length
-            e, z = next_change(rows, edges.keys, edges.lengths, e, m, bound, alive > 0, lune.bits, lune.left, stop)
+            bound = min(max_length, last) if alive == 0 else max_length
+            e, z = next_change(
+                rows, edges.keys, edges.lengths, e, m, bound, last, until, alive > 0, lune.bits, lune.left, stop
+            )
             if z == -2:
                 done = e < m
                 break
+            length = edges.lengths[e - 1]
             x, y, _ = ends_of(edges.keys[e - 1])
             if z >= 0:  # the lune is disconnected
                 count = count_components(data, rows, label, x, y, lune)
@@ -117,14 +155,19 @@ def pair_edges(data, max_length, stop):
                     born += 1
                     alive += 1
 
-            # Once all is one component and no loop is alive, compute up to which length edges can matter.
-            if alive == 0 and n_components == 1 and last < 0:
-                last = last_empty(data, tree, rows, edges.lengths[e - 1])
-        if stop[0] != 0 or longest > greatest or (alive == 0 and 0 <= last < longest):
+            # Once all is one component and the loops alive survive for long, compute up to which length edges can create one.
+            until = end_of_gap(bars, alive, length, tree.scale)
+            if until > 2.0 * length and n_components == 1 and last == np.inf:
+                last = last_empty(data, tree, rows, length)
+        if stop[0] != 0 or longest > greatest or (last < longest and until > greatest):
             done = True
         start = shortest
         shortest = longest
-        longest = min(next_window(start, longest, m), beyond)
+        longest = min(next_window(start, longest, m, some), beyond)
+        if not done and last < shortest < until:
+            join_edges(data, tree, rows, shortest, until)
+            longest = min(until + longest - shortest, beyond)
+            shortest = until
 
     birth = np.empty(born)
     death = np.empty(born)
@@ -132,3 +175,21 @@ def pair_edges(data, max_length, stop):
         birth[loop] = take_edge(data, label, loops.created[loop]) / (2.0 * tree.scale)
         death[loop] = take_edge(data, label, loops.killed[loop]) / (2.0 * tree.scale)
     return loops.created[:born], loops.killed[:born], birth, death
+
+
+def pair_edges(data, max_length, stop):
+    """Pair the edges that create loops with the edges that kill them, as `topokit.rips.pairing.pair_edges` does.
+
+    `data` holds (n, 3) points or an (n, n) matrix of distances, n >= 4. Lengths are squared for points. Another thread writes
+    something other than 0 into `stop` (1,) to end the run; then the result is incomplete.
+    """
+    bars = np.empty((0, 2))
+    if data.shape[1] == 3 and len(data) >= LARGE:
+        landmarks, eps = farthest_point_sample(data, max(4, int(len(data) ** 0.8)))
+        _, _, birth, death = pair_with(data[landmarks], max_length, stop, bars)
+        start = birth * (1 + 1e-9)  # rounding must not decide
+        end = (np.minimum(death, np.sqrt(max_length) / 2) - eps) * (1 - 1e-9)
+        long = np.flatnonzero(end > 1.5 * start)
+        long = long[np.argsort(-end[long])]
+        bars = np.column_stack([start[long], end[long]])
+    return pair_with(data, max_length, stop, bars)
