@@ -12,6 +12,7 @@ from __future__ import annotations
 import numpy as np
 from numba import njit
 
+from ..._validate import Array, Ids
 from ...sampling import farthest_point_sample
 from ..pairing import root_of as root_of_plain
 from . import compiled
@@ -177,7 +178,7 @@ def pair_with(data, max_length, stop, bars):
     return loops.created[:born], loops.killed[:born], birth, death
 
 
-def pair_edges(data, max_length, stop):
+def pair_edges(data: Array, max_length: float, stop: Ids) -> tuple[Ids, Ids, Array, Array]:
     """Pair the edges that create loops with the edges that kill them, as `topokit.rips.pairing.pair_edges` does.
 
     `data` holds (n, 3) points or an (n, n) matrix of distances, n >= 4. Lengths are squared for points. Another thread writes
