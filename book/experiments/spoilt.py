@@ -1,7 +1,7 @@
 """Clouds with missing points, noise and outliers: what sensors do to clean ones."""
 
 import numpy as np
-from numpy.typing import ArrayLike, NDArray
+from numpy.typing import NDArray
 
 MARGIN = 0.1  # metres around a cloud's box in which outliers lie
 
@@ -10,9 +10,9 @@ def spoil(
     clouds: NDArray[np.floating],
     rng: np.random.Generator,
     *,
-    noise: ArrayLike = 0.0,
-    outliers: ArrayLike = 0.0,
-    keep: ArrayLike = 1.0,
+    noise: float = 0.0,
+    outliers: float = 0.0,
+    keep: float = 1.0,
 ) -> NDArray[np.float64]:
     """Return clouds (..., P, 3) with missing points, noise and outliers, drawn for every cloud separately.
 
@@ -20,30 +20,27 @@ def spoil(
     ----------
     clouds : (..., P, 3) array
     rng : numpy.random.Generator
-    noise : float or array that broadcasts to the leading axes of `clouds`
+    noise : float
         Standard deviation of each coordinate, metres.
-    outliers : float or such an array
+    outliers : float
         Share of the points that are anywhere in the cloud's box, which is grown by 10 cm on each side.
-    keep : float or such an array
+    keep : float
         Share of the points that stay, at least one. They come first, in the order in which they were; repeats of them, in
         their order, replace the others. Both shares are rounded to whole points.
     """
     clouds = np.asarray(clouds, dtype=np.float64)
     n_points = clouds.shape[-2]
-    noise, outliers, keep = [np.broadcast_to(one, clouds.shape[:-2])[..., None] for one in (noise, outliers, keep)]
     places = np.broadcast_to(np.arange(n_points), clouds.shape[:-1])
 
     # Points that stay come first, in their order; then they are repeated.
-    n_staying = np.maximum(np.round(keep * n_points), 1).astype(np.int64)
+    n_staying = max(round(keep * n_points), 1)
     is_missing = rng.permuted(places, axis=-1) >= n_staying
     order = np.argsort(is_missing, axis=-1, kind="stable")
     chosen = np.take_along_axis(order, places % n_staying, axis=-1)
-    spoilt = np.take_along_axis(clouds, chosen[..., None], axis=-2) + noise[..., None] * rng.standard_normal(
-        clouds.shape
-    )
+    spoilt = np.take_along_axis(clouds, chosen[..., None], axis=-2) + noise * rng.standard_normal(clouds.shape)
 
     # Outliers lie anywhere in the box around the cloud.
     low = clouds.min(axis=-2, keepdims=True) - MARGIN
     high = clouds.max(axis=-2, keepdims=True) + MARGIN
-    is_outlier = rng.permuted(places, axis=-1) < np.round(outliers * n_points)
+    is_outlier = rng.permuted(places, axis=-1) < round(outliers * n_points)
     return np.where(is_outlier[..., None], rng.uniform(low, high, clouds.shape), spoilt)
