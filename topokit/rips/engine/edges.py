@@ -87,7 +87,7 @@ def list_edges(data, tree, shortest, longest, keys, lengths):
         while b <= last_leaf:
             # The next leaves, all in a row, that are not too far.
             least, most = between_boxes(low, high, a, b)
-            if least >= longest or most < shortest:
+            if least >= longest or (are_points(data) and most < shortest):
                 b += 1
                 continue
             first = start[b]
