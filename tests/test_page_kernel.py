@@ -155,13 +155,11 @@ def test_a_film_is_tracked_as_by_the_library(k, ids):
     assert len(seen) == ids
 
 
-def test_a_film_with_an_empty_frame_is_refused():
+def test_the_page_refuses_a_film_with_an_empty_frame():
     cloud = np.random.default_rng(0).normal(size=(20, 3))
     call = f"(film) => {{ try {{ return ({TRACK})(film).length; }} catch (error) {{ return error.message; }} }}"
     films = [[cloud, cloud[:0]], [cloud, 1000 * cloud]]
     cases = [{"frames": [frame.ravel().tolist() for frame in film], "d": 3} for film in films]
     refused, kept = by_script(SCRIPTS, call, cases)
-    with pytest.raises(ValueError, match="frame 1"):
-        track(films[0])
     assert "frame 1" in refused
     assert kept == len(track(films[1])) == 2

@@ -60,7 +60,7 @@ def ask_for_engine(sizes: list[int]) -> None:
 def _is_compiled() -> bool:
     """Return True if the cache has the engine for this Python."""
     version = f"py{sys.version_info.major}{sys.version_info.minor}"
-    return any(Path(cache_folder()).rglob(f"*pair_edges*{version}*.nbi"))
+    return any(Path(cache_folder()).rglob(f"pairing.*{version}*.nbi"))
 
 
 def _prepare() -> None:
