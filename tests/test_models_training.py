@@ -177,6 +177,7 @@ def test_paths_of_a_configuration_are_relative_to_it(tmp_path):
         ('{"model": "mlp", "learning_rate": "fast"}', "learning_rate.*'fast'"),
         ('{"model": "mlp", "shape": {"slots": 0}}', r"shape\.slots"),
         ('{"model": "mlp", "threads": 1000000}', "threads"),
+        ('{"model": "mlp", "threads": 0}', "threads"),
         ('{"model": "mlp", "workers": -1}', "workers"),
         ("{}", "'model'"),
     ],

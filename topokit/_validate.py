@@ -56,15 +56,15 @@ def as_points(points: ArrayLike, name: str = "points", *, copy: bool = False) ->
 def as_sequence(sequence: ArrayLike | Sequence[ArrayLike], name: str = "sequence") -> list[Array]:
     """Return clouds as a list of copies (n_t, d) float64, all of one d; one that is None or empty has no points."""
     clouds: list[Array] = []
-    seen: list[Array] = []
+    before = 0  # the dimension of the clouds so far
     for frame, cloud in enumerate(sequence):  # type: ignore[arg-type]
         if is_empty(cloud):
             clouds.append(np.empty((0, 3)))
             continue
         clouds.append(as_points(cloud, f"{name}[{frame}]", copy=True))
-        seen.append(clouds[-1])
-        if seen[-1].shape[1] != seen[0].shape[1]:
-            now, before = seen[-1].shape[1], seen[0].shape[1]
+        now = clouds[-1].shape[1]
+        before = before or now
+        if now != before:
             raise ValueError(f"{name}[{frame}] has {now} dimensions, the frames before it {before}")
     return clouds
 

@@ -12,8 +12,6 @@ from topokit._config import Count, Positive, checked, load
 
 from ._baselines import Shape
 
-Cores = Annotated[int, Field(ge=0, le=1024)]
-
 
 class Windows(NamedTuple):
     """Two splits to train on and to validate on, without a common episode; each is a torch data set that has a length."""
@@ -47,8 +45,11 @@ class TrainConfig:
     #: Learning rate of AdamW. It rises over the first 2 % of steps, and falls along a cosine to a hundredth.
     learning_rate: Positive = 1e-3
     patience: Count = 5  #: number of epochs without a smaller validation loss after which training stops
-    threads: Cores = 2  #: threads of PyTorch; with another number the weights differ in their last bits
-    workers: Cores = 0  #: number of processes that read windows, besides the training process
+    threads: Annotated[int, Field(ge=1, le=1024)] = (
+        2  #: threads of PyTorch; with another number the weights differ in their last bits
+    )
+    #: Number of processes that read windows, besides the training process.
+    workers: Annotated[int, Field(ge=0, le=1024)] = 0
 
     @classmethod
     def load(cls, path: str | Path) -> TrainConfig:

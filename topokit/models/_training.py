@@ -66,7 +66,7 @@ def train(
     out = Path(out).expanduser()
     out.mkdir(parents=True, exist_ok=True)
     threads = torch.get_num_threads()
-    torch.set_num_threads(max(config.threads, 1))
+    torch.set_num_threads(config.threads)
     try:
         return _Training(config, out, windows, progress).run()
     finally:

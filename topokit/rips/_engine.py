@@ -19,7 +19,7 @@ import numpy as np
 
 
 class _Engine:
-    """What this process knows of its engine."""
+    """Hold what this process knows of its engine."""
 
     work = 0.0  # seconds that its clouds would take in plain Python
     preparation: threading.Thread | None = None
