@@ -12,6 +12,7 @@ from PIL import Image
 from sensor_files import ring
 
 from topokit._archive import FormatError
+from topokit.io import load_episode
 from topokit.sensors import Cleaner, read_clouds
 
 from conftest import DATA
@@ -52,6 +53,13 @@ def test_times_of_an_archive_and_frames_a_second(tmp_path):
     np.savez(path, points=[ring(), ring(1)], times=[0.5, 0.75], colours=np.zeros(4))
     assert [time for time, _ in read_clouds(path, layout="film")] == [0.5, 0.75]
     assert [time for time, _ in read_clouds(path, layout="film", fps=10)] == [0.0, 0.1]
+
+
+def test_the_observed_points_of_an_episode_are_a_film():
+    episode = load_episode(DATA / "apron_hook_1.npz")
+    times, clouds = zip(*read_clouds(DATA / "apron_hook_1.npz"), strict=True)
+    assert np.allclose(times, episode.times)
+    assert np.array_equal(clouds, episode.observed.astype(float))
 
 
 @pytest.mark.parametrize(

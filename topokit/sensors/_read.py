@@ -17,6 +17,7 @@ import numpy as np
 
 from topokit._archive import FormatError, existing, is_archive
 from topokit._validate import Array, as_number, as_reals, positive
+from topokit.io import load_episode
 
 Frames = Iterator[tuple[float | None, Array]]
 
@@ -38,9 +39,9 @@ def read_clouds(
     Parameters
     ----------
     path : path
-        A file, or a folder of numbered files of one kind: .npy, .npz (its arrays `clouds` or `points`, and `times`), .ply, .png
-        (depth of 16 bits), or a table of text (.csv, .txt, .xyz, .pts), one point a row. .ply needs trimesh and .png needs pillow
-        (``pip install 'topokit[sensors]'``).
+        A file, or a folder of numbered files of one kind: .npy, .npz (its arrays `clouds` or `points`, and `times`; of an episode
+        its observed points), .ply, .png (depth of 16 bits), or a table of text (.csv, .txt, .xyz, .pts), one point a row. .ply
+        needs trimesh and .png needs pillow (``pip install 'topokit[sensors]'``).
     layout : {"film", "organised", "depth"}, optional
         Meaning of an array of numbers in a .npy or .npz file: clouds (T, n, 3) or (T, h, w, 3); one organised cloud (h, w, 3); or
         depth images (h, w) or (T, h, w). It is asked for where the shape leaves it open.
@@ -172,7 +173,9 @@ def _npy(file: Path, options: _Options) -> Frames:
 
 def _npz(file: Path, options: _Options) -> Frames:
     if is_archive(file):
-        raise ValueError("topokit wrote it: read it by topokit.io.load_episode, or by what wrote it")
+        episode = load_episode(file)
+        yield from zip(episode.times.tolist(), episode.observed.astype(np.float64), strict=True)
+        return
     with file.open("rb") as stream, np.load(stream, allow_pickle=False) as archive:
         name = next((name for name in ("clouds", "points") if name in archive), None)
         if name is None:
