@@ -1,7 +1,7 @@
-"""Cards of the chapters on the first page, and the line with the time to read and to run below a chapter's title.
+"""Cards of the chapters on the first page, and the line below a title with the times to read, to work through and to run.
 
-The time to read is computed from the words and the visible code, the time to run is measured in the last run of the notebook, and
-the chapters that a chapter builds on are read from its own first sentence.
+The times to read and to work through come from `times`, the time to run is measured in the last run of the notebook, and the
+chapters that a chapter builds on are read from its own first sentence.
 """
 
 from __future__ import annotations
@@ -15,16 +15,13 @@ from typing import Any
 from docutils import nodes
 from docutils.parsers.rst import Directive
 from sphinx import addnodes
+from times import time_needed
 
 from chapter_tools import quiz
 
 ROOT = Path(__file__).resolve().parent.parent
 APPENDIX_A = "book/modules"  # the only appendix without code
 TOPICS = re.compile(r"^\| \w+ \[[^]]*\]\(\.\./(notebooks/\w+)\.ipynb\) \| (.*) \|$", re.MULTILINE)
-WORDS_A_MINUTE = 120  # of text with mathematics
-LINES_A_MINUTE = 10  # of code
-EXERCISES = "## Exercises"
-HIDDEN = {"hide-input", "hide-cell", "remove-input"}  # tags of cells whose code is folded
 BEFORE = re.compile(r"^\*\*Before:\*\* .*", re.MULTILINE)
 
 
@@ -80,20 +77,6 @@ def builds_on(notebook: dict[str, Any]) -> list[int]:
     return numbers
 
 
-def minutes_to_read(notebook: dict[str, Any]) -> int:
-    """Return the time to read text and visible code up to the exercises, rounded to five minutes."""
-    minutes = 0.0
-    for cell in notebook["cells"]:
-        text, heading, _ = "".join(cell["source"]).partition(EXERCISES)
-        if cell["cell_type"] == "markdown":
-            minutes += len(text.split()) / WORDS_A_MINUTE
-        elif not HIDDEN & set(cell["metadata"].get("tags", ())):
-            minutes += len(text.splitlines()) / LINES_A_MINUTE
-        if heading:
-            break
-    return max(5, 5 * round(minutes / 5))
-
-
 def time_to_run(seconds: float | None) -> str:
     """Return the time to run in words, or nothing when it is not known."""
     if seconds is None:
@@ -104,9 +87,9 @@ def time_to_run(seconds: float | None) -> str:
 
 
 def takes(app: Any, chapter: str) -> str:
-    """Return how long a chapter takes to read and to run."""
+    """Return how long a chapter takes to read, to work through and to run."""
     seconds = app.env.nb_metadata.get(chapter, {}).get("exec_data", {}).get("runtime")
-    text = f"{minutes_to_read(read(chapter))} min to read"
+    text = time_needed(read(chapter))
     if seconds is not None:
         text += f", {time_to_run(seconds)} to run"
     return text

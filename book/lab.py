@@ -2,7 +2,8 @@
 
 The chapters are written in MyST, whose roles and directives only the book resolves. Other readers of notebooks show them as they
 are: {term}`loop`, :::{prf:theorem}. The copies in runs/lab read well there. Terms show their meaning at the pointer, theorems
-and exercises are called by their titles, equations by their labels, and citations by author and year.
+and exercises are called by their titles, equations by their labels, and citations by author and year. Captions stand in cells
+below their figures. Solutions are below a collapsed heading, since JupyterLab shows an output that it has made anew.
 
 A copy that its reader has changed is kept.
 """
@@ -13,23 +14,28 @@ import hashlib
 import html
 import json
 import re
+import sys
 from collections.abc import Mapping
 from dataclasses import dataclass, field
 from pathlib import Path
 
 from pybtex.database import parse_file
+from times import time_needed
 
 ROOT = Path(__file__).parents[1]
+sys.path.insert(0, str(ROOT / "notebooks"))
+from chapter_tools.quiz import label  # noqa: E402
+
 BESIDE = ("book", "data_small")  # folders that chapters read
 WRITTEN = "written.json"  # checksums of the copies as they were written
 NOTE = (
     "> *This copy is for JupyterLab. A word with a dotted line shows its meaning at the pointer. Theorems, exercises and "
     "equations have names here; the book (`make book`) numbers them, links to them, and has an index.*"
 )
-#: The last line of each chapter's first cell: a comment, which the book and the copies leave out.
+#: The last line of each chapter's first cell, which the book hides and the copies leave out.
 OUTSIDE = (
-    "% Outside of the book, terms, references and citations in braces stay unresolved. `make lab` opens copies of the chapters "
-    "in plain Markdown."
+    '<p class="topokit-outside">Outside of the book, terms, references and citations in braces stay unresolved. '
+    "<code>make lab</code> opens copies of the chapters in plain Markdown.</p>"
 )
 _FENCE = re.compile(r"^(:{3,})\{([a-z:]+)\} *([^\n]*)\n((?::[a-z]+:[^\n]*\n)*)(.*?)^\1 *$", re.MULTILINE | re.DOTALL)
 _ROLE = re.compile(r"\{([a-z:]+)\}`([^`]+)`")
@@ -147,16 +153,33 @@ def bibliography(path: Path) -> dict[str, tuple[str, str]]:
 
 
 def _plain_chapter(chapter: dict, names: Names, file: str) -> str:
-    """Return the text of a notebook in plain Markdown, with a note below its first cell."""
+    """Return the text of a notebook in plain Markdown, with a note in its first cell, headings of solutions, and captions."""
     cells = []
+    figures = 0
     for cell in chapter["cells"]:
         source = "".join(cell["source"])
         if cell["cell_type"] == "markdown":
             source = plain(source, names, file)
         if not cells:
-            source = f"{source.rstrip()}\n\n{NOTE}"
+            source = f"{source.rstrip()}\n\n{time_needed(chapter)}\n\n{NOTE}"
+        shown = cell["metadata"].get("mystnb", {})
+        if "hide-cell" in cell["metadata"].get("tags", ()):
+            heading = (
+                shown["code_prompt_show"].removeprefix("Show ").removeprefix("a ").removeprefix("the ").capitalize()
+            )
+            cells.append(_text(f"{cell['id']}-heading", f"#### {heading}", {"jp-MarkdownHeadingCollapsed": True}))
         cells.append({**cell, "source": source.splitlines(keepends=True)})
+        caption = shown.get("figure", {}).get("caption")
+        if caption:
+            figures += 1
+            text = f"**Fig. {label(file)}.{figures}** {plain(caption, names, file)}"
+            cells.append(_text(f"{cell['id']}-caption", text, {}))
     return json.dumps({**chapter, "cells": cells}, indent=1, ensure_ascii=False) + "\n"
+
+
+def _text(name: str, text: str, metadata: dict) -> dict:
+    """Return a cell of text."""
+    return {"cell_type": "markdown", "id": name, "metadata": metadata, "source": text}
 
 
 def _link_beside(folder: Path) -> None:

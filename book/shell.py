@@ -1,7 +1,7 @@
-"""An extension of Sphinx: chapter numbers, drawings in the colours of the page, results on the first page, an offline search.
+"""An extension of Sphinx: numbers of chapters and figures, drawings in the colours of the page, results, an offline search.
 
 Chapter numbers come from the names of files, the topics of chapters from the table in book/chapters.md, and results on the first
-page from book/results.
+page from book/results. A figure, drawn or live, has its caption in its cell's metadata, `mystnb.figure.caption`.
 """
 
 from __future__ import annotations
@@ -30,6 +30,7 @@ def setup(app: Any) -> dict[str, bool]:
     app.connect("source-read", _figures_of_the_first_page)
     app.connect("doctree-read", _number, priority=400)  # before titles are collected, at 500
     app.connect("doctree-read", _tidy, priority=400)
+    app.connect("env-get-updated", _number_figures, priority=900)  # after Sphinx, which counts them through the book
     app.connect("doctree-resolved", _drawings)
     app.connect("html-page-context", _head)
     app.connect("build-finished", _finish)
@@ -45,6 +46,16 @@ def _number(app: Any, doctree: nodes.document) -> None:
     title = next(doctree.findall(nodes.title), None)
     if number is not None and title is not None:
         title.insert(0, nodes.Text(f"{number}. "))
+
+
+def _number_figures(app: Any, env: Any) -> list[str]:
+    """Count the figures of each chapter anew: the third figure of chapter 2 is 2.3, here and in the copies for JupyterLab."""
+    for page, kinds in env.toc_fignumbers.items():
+        number = label(page)
+        if number is not None:
+            for k, place in enumerate(kinds.get("figure", {}), start=1):
+                kinds["figure"][place] = (number, k)
+    return []
 
 
 _NOTHING = re.compile(r"\[?<(Axes|matplotlib|Figure)[^>]*>")  # the text of a plotting call's return value
