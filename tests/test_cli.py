@@ -85,16 +85,6 @@ def test_the_neck_loop_keeps_one_name(episode, capsys):
     assert 0 < longest["distance"] < 0.1
 
 
-def test_the_table_holds_what_the_json_holds(episode, capsys):
-    answer = answer_of(capsys, "track", episode, "--paper", "--observed")
-    assert main(["track", str(episode), "--paper", "--observed"]) == 0
-    text = capsys.readouterr().out
-    head, *rows = text.splitlines()[-len(answer["tracks"]) - 1 :]
-    assert head.split() == list(answer["tracks"][0])
-    for row, track_row in zip(rows, answer["tracks"], strict=True):
-        assert [float(cell) for cell in row.split()] == pytest.approx(list(track_row.values()), rel=1e-3)
-
-
 def test_tracks_as_an_archive_as_lines_and_as_a_picture(episode, tmp_path):
     recorded = load_episode(episode)
     expected = [state.as_dict() for state in track(recorded.points, times=recorded.times)]

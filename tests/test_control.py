@@ -15,7 +15,6 @@ from chapter_tools.dressing import PullOver
 from chapter_tools.throwing import Fence, Thrower
 from topokit._geometry import angle, turned
 from topokit.control import Planner, Servo, hang
-from topokit.control._planner import Carried
 from topokit.io import load_episode, save_episode
 from topokit.sim import WARDROBE, HangEnv, Hook, Mannequin
 
@@ -123,16 +122,6 @@ def test_what_cannot_hang_is_refused(points, hands, other, frames, reason):
     assert reason in servo.reason
     assert np.any(moves) == (points is TUBE)
     assert np.abs(moves.sum(axis=1)).max() < 0.01
-
-
-def test_what_is_carried_turns_with_the_grippers():
-    forecast = Carried()
-    hands = np.array([[-0.2, 0.0, 1.0], [0.2, 0.0, 1.0]])
-    forecast.observe(ring(), hands)
-    plans = np.tile(turned(hands, 90) + [0.5, 0, 0.1], (2, 60, 1, 1))
-    places, _ = forecast.move(plans, None, ring())
-    assert places.shape == (2, 60, 40, 3)
-    np.testing.assert_allclose(places[1, 30], turned(ring(), 90) + [0.5, 0, 0.1], atol=1e-12)
 
 
 def test_planned_paths_are_no_faster_and_no_harder_than_said():

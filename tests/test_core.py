@@ -76,10 +76,3 @@ def test_a_package_shows_the_names_of_its_face_and_nothing_else(package):
     except ImportError as error:
         pytest.skip(str(error))  # the core's tests run without the companions' packages
     assert dir(module) == sorted(module.__all__)  # nothing comes with the modules that were imported
-
-
-@pytest.mark.parametrize(("name", "missing"), [("WindowDataset", "torch"), ("DatasetConfig", "pydantic")])
-def test_a_missing_extra_is_named(name, missing):
-    done = run(f"import sys; sys.modules['{missing}'] = None; from topokit.data import {name}")
-    assert done.returncode == 1
-    assert f"topokit.data.{name} needs {missing}: pip install 'topokit[" in done.stderr

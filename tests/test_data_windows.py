@@ -224,13 +224,6 @@ def test_what_cannot_be_is_refused(dataset, options, says):
         WindowDataset(dataset, **{"history": H, "horizon": K, **options})
 
 
-def test_sizes_are_those_of_the_paper_when_none_are_given(dataset):
-    with pytest.raises(ValueError, match="no episode has the 76 frames"):
-        WindowDataset(dataset)
-    window = WindowDataset(dataset, history=H, horizon=K)[0]
-    assert (window["clouds"].shape[1], window["present"].shape[1]) == (128, 4)
-
-
 def test_episodes_without_these_labels_are_refused(dataset, tmp_path):
     few = part_of(dataset, [0, 1], tmp_path / "few")
     (few.folder / "labels/observed-40/00000001.npz").unlink()

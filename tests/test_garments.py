@@ -99,16 +99,6 @@ def test_loops_have_the_names_that_files_of_episodes_leave_out(name):
     assert ("hem" in garment.loop_names) <= (heights[-1] == min(heights))
 
 
-def test_the_meshes_of_a_net_are_counted_from_the_lower_left_of_its_front():
-    net = WARDROBE["net"]()
-    assert net.loop_names == ("handle", "rim", *(f"mesh {i + 1}" for i in range(18)))
-    middles = np.array([net.vertices[loop].mean(axis=0) for loop in net.loops[2:]])
-    np.testing.assert_allclose(middles[9:], middles[:9] * [1, -1, 1], atol=1e-9)
-    thirds = np.array([0.5, 1.5, 2.5]) / 3
-    np.testing.assert_allclose(middles[:3, 0], 0.4 * thirds - 0.2, atol=1e-3)
-    np.testing.assert_allclose(middles[:9:3, 2], 0.42 * thirds - 0.42, atol=1e-3)
-
-
 def test_the_apron_is_the_recorded_one(episode_path):
     episode = load_episode(episode_path)
     np.testing.assert_array_equal(WARDROBE["apron"]().faces, episode.faces)

@@ -286,16 +286,3 @@ def test_the_search_finds_no_violation_and_would_find_one(monkeypatch):
     news = fooled.news[0]
     instance = lemma_search.Instance(*(np.array(news[key]) for key in ("before", "after", "seen", "seen_after")))
     assert lemmas.feature_approximation(instance.before, instance.seen).paper.violated
-
-
-def test_the_factor_before_beta_is_what_seven_points_need():
-    case = lemmas.COUNTEREXAMPLES["killers two beta apart"]
-    check = lemmas.corollary(case.before, case.observed_before, case.after, case.observed_after)
-    needed, share = lemma_search.needed_factor(check, "2 beta + epsilon, all edges")
-    assert needed == pytest.approx(1.516 / 0.781, abs=0.002)
-    assert share == pytest.approx(0.781 / (2 * 0.816), abs=0.002)
-    assert lemma_search.tightness(check, "2 beta + epsilon, all edges") == pytest.approx(needed / 2)
-    # A shift has no beta to speak of, and says nothing about the factor.
-    shifted = lemmas.regularity_of_killers(case.before, case.before + [0.1, 0.0])
-    assert lemma_search.ratio(shifted.intrinsic) == pytest.approx(1)
-    assert lemma_search.needed_factor(shifted, "intrinsic") is None

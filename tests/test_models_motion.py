@@ -5,7 +5,6 @@ from __future__ import annotations
 import numpy as np
 import pytest
 import torch
-from scipy.spatial import cKDTree
 from torch.utils.data import default_collate
 
 import topokit as tk
@@ -13,7 +12,6 @@ from topokit.data import Dataset
 from topokit.models import Predictor, Scenes, build
 from topokit.models._baselines import Shape
 from topokit.models._motion import CARRIERS, KNOTS, UNIT, carried
-from topokit.models._scenes import flow
 from topokit.seqph import SeqPH, follow
 
 from conftest import DATA
@@ -165,17 +163,6 @@ def test_after_the_release_the_grippers_do_not_matter(batch):
 
 
 # -- what it is shown -------------------------------------------------------------------------------------------------------
-
-
-def test_flow_is_what_grippers_do_not_explain():
-    rng = np.random.default_rng(0)
-    hands = rng.normal(size=(1, 2, 3)).repeat(4, axis=0) + rng.normal(0, 0.05, (4, 1, 3))
-    then = rng.normal(0, 0.3, (200, 3))
-    carriage = hands[0].mean(axis=0) - hands[1:].mean(axis=1)  # of each of the three
-    drift = np.array([0.001, -0.002, 0.0])
-    found = flow(then + drift, [cKDTree(then - step) for step in carriage], hands)
-    assert found.shape == (200, 3, 3)
-    assert np.allclose(found, drift, atol=1e-6)
 
 
 def test_scenes_are_windows_of_vertices(episode):

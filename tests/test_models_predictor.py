@@ -4,8 +4,6 @@ from __future__ import annotations
 
 import dataclasses
 import json
-import subprocess
-import sys
 from pathlib import Path
 
 import numpy as np
@@ -272,16 +270,3 @@ def test_predict_command(tmp_path, episode_path, capsys):
     for bad in ([str(path), str(episode_path), "--frame", "300"], [str(episode_path), str(episode_path)]):
         assert main(["predict", *bad]) == 2
         assert bad[0] in capsys.readouterr().err or "300" in bad
-
-
-def test_import_does_without_torch():
-    code = """
-import sys
-for name in ("torch", "safetensors", "tqdm"):
-    sys.modules[name] = None
-import topokit.models
-from topokit.cli import main
-assert main(["predict", "c.safetensors", "e.npz"]) == 2
-"""
-    done = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, check=True)
-    assert "topokit[learn]" in done.stderr

@@ -10,7 +10,7 @@ from torch.utils.data import default_collate
 import topokit as tk
 from topokit.io import load_episode
 from topokit.models import StateTensors, forecast_loss, loop_mixtures
-from topokit.models._states import corners_of, past_of
+from topokit.models._states import past_of
 
 from windows import RingWindows
 
@@ -54,14 +54,6 @@ def test_neighbours_stand_on_their_edges_when_some_are_missing(window):
     rebuilt = states.triangles[:, :, 0][there].mean(dim=-2)
     stored = window["triangles"][:, :, 0][window["values"][:, :, 0] > 0].mean(dim=-2)
     assert torch.allclose(rebuilt.sum(dim=0), stored.sum(dim=0), rtol=1e-4)
-
-
-def test_corners_of_corners(window):
-    states = StateTensors.from_labels(window)
-    there = window["present"]
-    corners, values = corners_of(states.triangles[there], states.values[there])
-    assert torch.allclose(corners, states.corners[there])
-    assert torch.allclose(values, states.neighbour_values[there])
 
 
 def test_batched_mixtures_are_those_of_numpy(tracked):

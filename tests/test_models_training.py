@@ -131,12 +131,6 @@ def test_what_is_no_checkpoint_of_this_training_is_not_resumed_from(tmp_path, wi
         train(how, tmp_path, windows)
 
 
-def test_ridge_is_solved_in_one_pass(tmp_path, windows):
-    answer = train(config("ridge", options={"penalty": 1.0}), tmp_path, windows)
-    assert answer["epochs"] == 1
-    assert weights(tmp_path)["coefficients"].abs().sum() > 0
-
-
 @pytest.mark.parametrize("model", ["mlp", "motion"])
 def test_a_training_starts_from_a_checkpoint_with_other_films(tmp_path, windows, scenes, model):
     data = scenes if model == "motion" else windows

@@ -1,4 +1,4 @@
-"""Test that the kernel of the pages computes what the library computes, in Chromium where it is installed, else by node."""
+"""Test that the kernel of the pages computes what the library computes, by node."""
 
 from __future__ import annotations
 
@@ -9,11 +9,10 @@ import pytest
 
 from topokit import farthest_point_sample, rips_persistence, track
 from topokit.io import load_episode
-from topokit.rips import _cycles
 from topokit.sim import WARDROBE
 
 from clouds import FAMILIES, random_cloud
-from pages import by_browser, by_script, needs_node
+from pages import by_script, needs_node
 
 pytestmark = needs_node
 DATA = Path(__file__).parents[1] / "data_small"
@@ -62,7 +61,7 @@ def test_loops_and_cycles_are_those_of_rips_persistence_to_the_last_bit():
             radius = float([diagram.birth, diagram.death][k % 2][len(diagram) // 2])
             radius = float(np.nextafter(radius, 0)) if k % 4 < 2 else radius
         cases.append((cloud, radius))
-    found = by_browser(SCRIPTS, LOOPS, [given(cloud, maxRadius=radius) for cloud, radius in cases])
+    found = by_script(SCRIPTS, LOOPS, [given(cloud, maxRadius=radius) for cloud, radius in cases])
     ended = 0
     for (cloud, radius), answer in zip(cases, found, strict=True):
         diagram = rips_persistence(cloud, max_radius=np.inf if radius is None else radius)
@@ -74,20 +73,6 @@ def test_loops_and_cycles_are_those_of_rips_persistence_to_the_last_bit():
         assert answer["cycles"] == [diagram.cycle(i).tolist() for i in range(len(diagram))]
         ended += int(np.isfinite(diagram.death).sum())
     assert ended > 1500
-
-
-def test_a_search_that_gives_up_takes_the_same_way(monkeypatch):
-    rng = np.random.default_rng(78)
-    clouds = [rng.uniform(size=(60, 2)) for _ in range(100)]
-    with_search = [rips_persistence(cloud) for cloud in clouds]
-    shortest = [[diagram.cycle(i).tolist() for i in range(len(diagram))] for diagram in with_search]
-    monkeypatch.setattr(_cycles, "SEARCH_LIMIT", 0)
-    kernel = "eval(`(${ripsKernel})`.replace(/SEARCH_LIMIT = \\d+/, 'SEARCH_LIMIT = 0'))()"
-    answers = by_script(SCRIPTS, LOOPS.replace("ripsKernel()", kernel), [given(cloud) for cloud in clouds])
-    for cloud, answer in zip(clouds, answers, strict=True):
-        diagram = rips_persistence(cloud)
-        assert answer["cycles"] == [diagram.cycle(i).tolist() for i in range(len(diagram))]
-    assert [answer["cycles"] for answer in answers] != shortest
 
 
 SAMPLE = """({ points, d, k, start }) => {

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import ast
-import json
 import re
 import subprocess
 import sys
@@ -118,9 +117,3 @@ def test_no_package_imports_another_packages_private_module():
     for path, parts, target in imports():
         own = target[0] == parts[0] or len(target) == 1 or target[0].startswith("_")
         assert own or not any(part.startswith("_") for part in target[1:]), f"{path} imports topokit.{'.'.join(target)}"
-
-
-def test_chapters_are_stored_without_outputs():
-    for path in (ROOT / "notebooks").glob("*.ipynb"):
-        cells = json.loads(path.read_text())["cells"]
-        assert not any(cell.get("outputs") or cell.get("execution_count") for cell in cells), path.name

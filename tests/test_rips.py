@@ -1,4 +1,4 @@
-"""Rips persistence: known shapes, scales of coordinates, ties, parts of the engine, Ctrl-C, threads, bad input.
+"""Rips persistence: known shapes, scales of coordinates, ties, many edges, Ctrl-C, threads, bad input.
 
 `test_rips_properties` holds the same functions to GUDHI and to the textbook on random clouds.
 """
@@ -16,15 +16,9 @@ import psutil
 import pytest
 
 from topokit import rips_persistence, rips_persistence_many
-from topokit.rips import _cloud
 
-from clouds import FAMILIES, compiled, config, fewer, gudhi_pairs, random_cloud, same, sorted_pairs
+from clouds import FAMILIES, compiled, fewer, gudhi_pairs, random_cloud, same, sorted_pairs
 from conftest import polygon
-
-if config is not None:
-    from numba import njit
-
-    from topokit.rips.engine import edges, tree
 
 SQUARE = np.array([[0.0, 0], [2, 0], [2, 2], [0, 2]])
 
@@ -142,12 +136,7 @@ def test_a_diagram_does_not_change_with_the_array_it_was_made_of(metric):
         diagram.birth[0] = 0
 
 
-# Parts of the engine
-
-
-def called(function):
-    """A function of the engine, most of which are compiled for each other alone, for calls from Python."""
-    return njit(lambda *arguments: function(*arguments))
+# Many edges
 
 
 @compiled
@@ -156,37 +145,10 @@ def test_edges_of_one_length_are_sorted_in_less_than_quadratic_time():
 
 
 @compiled
-def test_lengths_are_the_same_in_numpy_and_compiled():
-    points = np.random.default_rng(3).normal(size=(20, 3)) * np.logspace(-3, 3, 3)
-    edge_length = called(edges.edge_length)
-    for i in range(20):
-        squares = _cloud.squares(points[i], points)
-        assert squares.tolist() == [edge_length(points, i, j) for j in range(20)]
-        assert squares.tolist() == [edge_length(points, j, i) for j in range(20)]
-
-
-@compiled
 def test_points_are_paired_as_their_distances_are():
     """For more than 192 points the engine looks for a middle of each edge; for a matrix of distances it does not."""
     cloud = torus(1500)
     same(rips_persistence(cloud), rips_persistence(distances(cloud), metric="precomputed"))
-
-
-@compiled
-def test_windows_of_edges_are_bounded_and_leave_none_out():
-    cloud = _cloud.Cloud.of(np.random.default_rng(12).random((3100, 2)))
-    built = called(tree.build_tree)(cloud.data)
-    edges_between = called(edges.edges_between)
-    window, shortest, count, before = called(edges.new_edges)(1 << 16), 0.0, 0, -1.0
-    while shortest < 4:
-        window, m, bound = edges_between(built.points, built, shortest, 5.0, window)
-        lengths = window.lengths[:m]
-        assert m <= len(window.found_keys) == edges.WINDOW
-        assert before <= lengths[0]
-        assert (np.diff(lengths) >= 0).all()
-        assert shortest <= lengths[0] <= lengths[-1] < bound
-        shortest, count, before = bound, count + m, lengths[-1]
-    assert count == 3100 * 3099 // 2
 
 
 # Ctrl-C

@@ -101,22 +101,6 @@ def test_what_a_target_holds_it_holds_elsewhere(target):
 # Paths.
 
 
-def test_path_passes_its_places_smoothly_and_rests_where_it_should():
-    middle = [Via(1, [0, 0.3, 1.2], 1.5), Via(2, [0.1, 0.4, 1], 1.2, rest=True)]
-    vias = [Via(0.5, [0, 0, 1]), *middle, Via(3, [0, 0.5, 0.9])]
-    path = GripperPath(vias, SPREAD, 3.0, 4.0)
-    for via in vias:
-        np.testing.assert_allclose(path.at(via.time), np.array(via.place) + via.opening * SPREAD, atol=1e-12)
-    times = np.linspace(0, 4, 40001)
-    where = path.at(times)
-    speed = np.linalg.norm(np.gradient(where, times, axis=0), axis=2)
-    acceleration = np.linalg.norm(np.gradient(np.gradient(where, times, axis=0), times, axis=0), axis=2)
-    assert speed[(times < 0.499) | (times > 3.001)].max() < 1e-9
-    assert speed[np.abs(times - 2) < 1e-3].max() < 1e-4  # rests
-    assert speed[np.abs(times - 1) < 1e-3].min() > 0.1  # passes
-    assert np.abs(np.diff(acceleration, axis=0)).max() < 0.05  # no jump of force anywhere
-
-
 def test_a_move_between_two_rests_is_the_minimum_jerk_polynomial():
     path = GripperPath([Via(1, [0, 0, 0]), Via(3, [0, 1, 0])], SPREAD, 3, 3)
     s = np.linspace(0, 1, 11)

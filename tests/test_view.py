@@ -4,14 +4,12 @@ from __future__ import annotations
 
 from dataclasses import replace
 
-import matplotlib as mpl
 import matplotlib.pyplot as plt
 import numpy as np
 import pytest
 
 import topokit as tk
 from chapter_tools import figures
-from chapter_tools.figures import garments
 from topokit import view
 from topokit.io import Episode, load_episode
 from topokit.linking import close_far, linking_number
@@ -91,26 +89,6 @@ def test_tracks_break_where_a_loop_is_missing(states):
     assert not view.plot_tracks([]).lines
 
 
-def test_a_cloth_is_drawn_with_rod_and_killers(episode, states):
-    loop = states[0].loops[0]
-    given = {"loops": [loop], "true_loops": episode.loops, "centre_line": episode.centre_line}
-    axes = view.plot_cloth(episode.points[0], episode.faces, **given)
-    _, cloth, killers, edge = axes.collections  # the first is the shadow on the floor
-    assert len(cloth.get_facecolor()) > len(episode.faces)  # the rod is sorted together with the cloth
-    assert len(killers._faces) == 2
-    assert mpl.colors.to_hex(edge.get_color()[0]).upper() == view.loop_colour(loop.id)
-
-
-def test_nothing_is_drawn_from_uninitialised_memory(episode, states, monkeypatch):
-    def arbitrary_memory(shape, dtype=float, **options):
-        return np.full(shape, 1.7e308 if np.issubdtype(dtype, np.floating) else 0, dtype, **options)
-
-    with monkeypatch.context() as patch:
-        patch.setattr(np, "empty", arbitrary_memory)
-        axes = view.plot_cloth(episode.points[0], episode.faces, loops=states[0].loops, centre_line=episode.centre_line)
-        axes.figure.canvas.draw()
-
-
 def test_the_player_holds_the_episode_and_the_loops_of_each_frame(episode, states):
     data = page_data(view.player(episode, states))
     arrays = {name: unpack(packed) for name, packed in data["arrays"].items()}
@@ -170,16 +148,6 @@ def forecasts(film):
     follows = np.linspace(0.7, 1.1, film.points.shape[1])[:, None]
     clouds = film.points[NOW].astype(float) + shift[:, :, np.array(AHEAD) - 1, None] * follows
     return actions, clouds
-
-
-@pytest.mark.parametrize(("tolerance", "exact"), [(1e-9, True), (5.0, False)])
-def test_low_rank_is_within_its_tolerance_with_few_modes(tolerance, exact):
-    rng = np.random.default_rng(0)
-    clouds = np.einsum("mq,qnd->mnd", rng.normal(size=(40, 7)), rng.normal(size=(7, 30, 3)))
-    shares, modes = garments.low_rank(clouds, tolerance)
-    assert (len(modes) == 7) if exact else (0 < len(modes) < 7)
-    error = np.tensordot(shares, modes, 1) - clouds
-    assert np.linalg.norm(error, axis=-1).max() <= tolerance
 
 
 @needs_node
