@@ -60,7 +60,7 @@ check-book: $(BROWSER)/ready
 
 test: env lint
 	$(BIN)/python -m pytest -n auto --dist loadfile
-	$(BIN)/python -m pytest -n auto --nbmake notebooks/ -o addopts=""
+	$(BIN)/python book/ahead.py
 
 lint: env
 	$(BIN)/ruff check .

@@ -87,6 +87,7 @@ def _digest() -> str:
         ("topokit", "**/*"),
         ("data_small", "**/*"),
         ("book/results", "**/*"),
+        ("book/experiments", "**/*"),
         ("notebooks", "*.ipynb"),
         ("notebooks/chapter_tools", "**/*"),
     ):
