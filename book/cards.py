@@ -67,13 +67,13 @@ def read(chapter: str) -> dict[str, Any]:
     return json.loads((ROOT / f"{chapter}.ipynb").read_text(encoding="utf-8"))
 
 
-def builds_on(notebook: dict[str, Any]) -> list[int]:
+def builds_on(notebook: dict[str, Any]) -> list[str]:
     """Return the chapters that a chapter asks for in its line "**Before:** ..."; "[3] to [5]" are three chapters."""
     line = BEFORE.search("".join(notebook["cells"][0]["source"]))[0]
     line = re.sub(r"; you need at least [^;]*", "", line)  # the minimum for readers who skip the others
-    numbers = [int(number) for number in re.findall(r"\]\((\d+)_\w+\.ipynb\)", line)]
+    numbers = [number.removeprefix("0") for number in re.findall(r"\]\((\d+b?)_\w+\.ipynb\)", line)]
     if ") to [" in line:
-        return list(range(numbers[0], numbers[-1] + 1))
+        return [str(number) for number in range(int(numbers[0]), int(numbers[-1]) + 1)]
     return numbers
 
 
@@ -95,19 +95,17 @@ def takes(app: Any, chapter: str) -> str:
     return text
 
 
-def links_to(app: Any, page: str, numbers: list[int]) -> str:
+def links_to(app: Any, page: str, numbers: list[str]) -> str:
     """Return links from a page to chapters, called by their numbers."""
     pages = chapters(app)
     links = []
     for number in numbers:
-        chapter = pages[str(number)]
+        chapter = pages[number]
         title = html.escape(app.env.titles[chapter].astext().partition(". ")[2], quote=True)
         address = app.builder.get_relative_uri(page, chapter)
         links.append(f'<a href="{address}" title="{title}">{number}</a>')
     if len(links) == 1:
         return f"chapter {links[0]}"
-    if len(links) > 2 and numbers == list(range(numbers[0], numbers[-1] + 1)):
-        return f"chapters {links[0]} to {links[-1]}"
     return f"chapters {', '.join(links[:-1])} and {links[-1]}"
 
 

@@ -16,7 +16,7 @@ from typing import Any
 
 def label(name: str) -> str | None:
     """Return the number of a chapter, or the letter of an appendix, from the name of its file; None for other names."""
-    found = re.match(r"0?(\d+)_|appendix_([a-z])_", name)
+    found = re.match(r"0?(\d+b?)_|appendix_([a-z])_", name)
     if found is None:
         return None
     return found[1] or found[2].upper()

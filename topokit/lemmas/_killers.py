@@ -4,7 +4,7 @@ Idea: the distance of two edges is the Hausdorff distance of their end points. E
 *rivals*, are assumed to lie within beta of it. In the paper's Assumption 3 the rivals are all edges of about the killer's length
 (`converse` shows where that cannot hold); in Assumption 3' they are the critical edges alone (`beta_critical`).
 
-Source: Antonova et al. 2021, section 4. Taught in chapters 5 and 6.
+Source: Antonova et al. 2021, section 4. Taught in chapters 5b and 6.
 """
 
 from __future__ import annotations

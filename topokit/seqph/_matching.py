@@ -89,7 +89,7 @@ def within_gates(gates: str, loops: Candidates) -> list[tuple[int, int]]:
     if gates == "paper":  # Algorithm 1 and Corollary 1
         gate = 2 * alpha + epsilon
         bound = 2 * alpha + beta + epsilon
-    elif gates == "proved":  # what chapter 5 proves
+    elif gates == "proved":  # what chapter 5b proves
         gate = alpha + epsilon
         bound = 2 * beta + epsilon
     else:  # "near": killers of cloth jump, so death may change by more, and counts in the cost
