@@ -103,16 +103,14 @@ def _opened(path: str | Path, kind: str) -> Iterator[tuple[zipfile.ZipFile, dict
 def _array(archive: zipfile.ZipFile, name: str) -> NDArray[Any]:
     """Read an array whose header declares the very size that its entry has."""
     with archive.open(name) as stream:
-        read_array_header = {(1, 0): np.lib.format.read_array_header_1_0, (2, 0): np.lib.format.read_array_header_2_0}
-        shape, column_major, dtype = read_array_header[np.lib.format.read_magic(stream)](stream)
-        if dtype.hasobject:
-            raise ValueError(f"{name} holds pickled objects")
+        np.lib.format.read_magic(stream)
+        shape, column_major, dtype = np.lib.format.read_array_header_1_0(stream)
+        if dtype.hasobject or column_major:
+            raise ValueError(f"{name} is pickled, or in an order that topokit does not write")
         declared = stream.tell() + dtype.itemsize * math.prod(shape)
         if declared != archive.getinfo(name).file_size:
             raise ValueError(f"{name} declares {declared} bytes and has {archive.getinfo(name).file_size}")
         content = bytearray(stream.read())  # to the end, where the CRC-32 is compared
-    if column_major:
-        return np.frombuffer(content, dtype).reshape(shape[::-1]).T
     return np.frombuffer(content, dtype).reshape(shape)
 
 

@@ -37,14 +37,14 @@ def linking_number(curve_a: ArrayLike, curve_b: ArrayLike) -> int:
     Parameters
     ----------
     curve_a, curve_b : (n, 3), (m, 3) array_like
-        Corners in order, three at least; the last joins the first, which is not repeated. Close a curve with ends, such
-        as a hook, by `close_far` first.
+        Corners in order, three at least; the last joins the first. Close a curve with ends, such as a hook, by `close_far`
+        first.
 
     Raises
     ------
     ValueError
-        When a curve is not in space, has fewer than three corners or passes through a corner twice, or when the curves
-        touch; the message names the place. Also when they come so close that rounding leaves no integer.
+        When a curve is not in space or has fewer than three corners, or when the curves touch; the message names the
+        place. Also when they come so close that rounding leaves no integer.
 
     Examples
     --------
@@ -166,21 +166,11 @@ def _batch(curves: ArrayLike, name: str) -> list[Array]:
 
 
 def _as_curve(curve: ArrayLike, name: str) -> Array:
-    """Return a closed curve (n, 3) in space, or raise ValueError when it is none or passes through a corner twice."""
+    """Return a closed curve (n, 3) in space, or raise ValueError when it is none."""
     corners = as_points(curve, name)
     if corners.shape[1] != 3 or len(corners) < 3:
         wrong = f"{name} must be an (n, 3) array of at least 3 corners, not of shape {corners.shape}"
         raise ValueError(f"{wrong}; close an open curve first, for example by topokit.linking.close_far")
-
-    # In lexicographic order equal corners are neighbours.
-    order = np.lexsort(corners.T)
-    repeats = np.flatnonzero((corners[order[1:]] == corners[order[:-1]]).all(axis=1))
-    if len(repeats):
-        i, j = sorted(order[repeats[0] : repeats[0] + 2].tolist())
-        both = f"corners {i} and {j} are both {corners[i].tolist()}"
-        if (i, j) == (0, len(corners) - 1):
-            both += " (the last joins the first by itself: leave it out)"
-        raise ValueError(f"{name} passes through a corner twice: {both}")
     return corners
 
 

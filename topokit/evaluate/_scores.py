@@ -104,22 +104,18 @@ class TrackingScore:
         return self.level_association / np.maximum(self.level_matches, 1)
 
 
-def score(overlaps: Iterable[Overlap], threshold: float = THRESHOLD) -> TrackingScore:
+def score(overlaps: Iterable[Overlap]) -> TrackingScore:
     """Score a sequence; scores of several sequences can be added. Without any object MOTA and IDF1 are nan, and HOTA is 0.
 
-    Parameters
-    ----------
-    overlaps : iterable of Overlap
-    threshold : float
-        Least similarity of a match for MOTA, IDF1, switches and fragments, above 0 and at most 1. HOTA is averaged over nineteen.
+    A match has a similarity of `THRESHOLD` or more. HOTA alone is averaged over nineteen thresholds.
     """
     overlaps, shape = _numbered(list(overlaps))
-    kinds = [event.kind for event in events(overlaps, threshold)]
+    kinds = [event.kind for event in events(overlaps)]
 
     # IDF1 gives every object one identity for good: the pairs that have most frames in common.
     frames_together = np.zeros(shape)
     for overlap in overlaps:
-        frames_together[np.ix_(overlap.objects, overlap.ids)] += _reaches(overlap.similarity, threshold)
+        frames_together[np.ix_(overlap.objects, overlap.ids)] += _reaches(overlap.similarity, THRESHOLD)
     id_matches = int(sum(frames_together[pair] for pair in greatest(frames_together)))
 
     level_matches, level_association = _higher_order(overlaps, shape)
@@ -135,15 +131,10 @@ def score(overlaps: Iterable[Overlap], threshold: float = THRESHOLD) -> Tracking
     )
 
 
-def events(overlaps: Sequence[Overlap], threshold: float = THRESHOLD) -> Iterator[Event]:
+def events(overlaps: Sequence[Overlap]) -> Iterator[Event]:
     """Yield what became of every object and detection.
 
     A match of the frame before is kept while it holds; the rest is matched for the greatest similarity.
-
-    Parameters
-    ----------
-    overlaps, threshold
-        As in `score`.
     """
     last: dict[int, int] = {}  # of each object: the identity of its last match
     current: dict[int, int] = {}  # the matches of the last frame that had objects and identities
@@ -153,7 +144,7 @@ def events(overlaps: Sequence[Overlap], threshold: float = THRESHOLD) -> Iterato
         # A kept match gains more than all similarities together.
         matched_before = [[current.get(loop) == identity for identity in ids] for loop in objects]
         gain = overlap.similarity + 1000 * np.reshape(matched_before, (len(objects), len(ids)))
-        pairs = greatest(np.where(_reaches(overlap.similarity, threshold), gain, 0))
+        pairs = greatest(np.where(_reaches(overlap.similarity, THRESHOLD), gain, 0))
         matched = {objects[row]: ids[column] for row, column in pairs}
 
         for loop in objects:

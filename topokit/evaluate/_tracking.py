@@ -56,9 +56,8 @@ class TrackSummary:
     last: int  #: frame of its last appearance
     frames: int  #: in how many frames it appears
     lifetime: float  #: mean lifetime, metres
-    true_loop: int = (
-        -1
-    )  #: which of the episode's loops it is nearest to, on the mean over its frames; -1 when there is none
+    #: which of the episode's loops it is nearest to, on the mean over its frames; -1 when there is none
+    true_loop: int = -1
     #: mean distance of the mean of its killer triangles from the mean of that loop's vertices, metres
     distance: float = float("nan")
     in_hull: float = float("nan")  #: share of its frames in which that mean is in the loop's convex hull

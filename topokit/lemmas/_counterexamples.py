@@ -6,7 +6,7 @@ Taught in chapters 3 to 5.
 from __future__ import annotations
 
 import json
-from collections.abc import Callable, Mapping
+from collections.abc import Mapping
 from dataclasses import dataclass
 from importlib import resources
 from types import MappingProxyType
@@ -18,18 +18,6 @@ from .._validate import Array, Ids
 from ._diagrams import feature_approximation, gates, observability, temporal_persistence
 from ._killers import converse, corollary, recovering_killers, regularity_of_killers
 from ._step import Check, as_step
-
-#: Every statement by its name: a function of a step.
-STATEMENTS: dict[str, Callable[..., Check]] = {
-    "feature approximation": feature_approximation,
-    "observability": observability,
-    "temporal persistence": temporal_persistence,
-    "gates": gates,
-    "recovering killers": recovering_killers,
-    "regularity of killers": regularity_of_killers,
-    "corollary": corollary,
-    "converse": converse,
-}
 
 
 def verify_step(
@@ -43,7 +31,10 @@ def verify_step(
         As in `gates`.
     """
     step = as_step(before, observed_before, after, observed_after)
-    return {name: statement(step) for name, statement in STATEMENTS.items()}
+    on_diagrams = (feature_approximation, observability, temporal_persistence, gates)
+    on_killers = (recovering_killers, regularity_of_killers, corollary, converse)
+    checks = [statement(step) for statement in (*on_diagrams, *on_killers)]
+    return {check.statement: check for check in checks}
 
 
 @dataclass(frozen=True, eq=False)

@@ -8,12 +8,14 @@ Source: Antonova et al. 2021, Assumptions 1 and 3. Taught in chapters 3 and 5.
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Sequence
+from collections.abc import Sequence
 from dataclasses import dataclass
 from functools import cached_property
 
 import numpy as np
-from numpy.typing import ArrayLike, NDArray
+from numpy.typing import ArrayLike
+from scipy.sparse import csr_matrix
+from scipy.sparse.csgraph import connected_components
 from scipy.spatial.distance import cdist
 
 from .._validate import Array, Ids, as_ids, as_points, positive
@@ -143,24 +145,11 @@ def is_critical(distances: Array, x: int, y: int, alpha: float, epsilon: float) 
     if not joined_by_none.any():
         return False
     near = distances[np.ix_(lens, carriers)] < inner
-    for component in _components(distances[np.ix_(carriers, carriers)] < step):
-        reached = near[:, component].any(axis=1)
+    number, component = connected_components(csr_matrix(distances[np.ix_(carriers, carriers)] < step), directed=False)
+    for k in range(number):
+        reached = near[:, component == k].any(axis=1)
         joined_by_none[np.ix_(reached, reached)] = False
     return bool(joined_by_none.any())
-
-
-def _components(joined: NDArray[np.bool_]) -> Iterator[NDArray[np.bool_]]:
-    """Yield the components of a graph, given as an (n, n) table, as (n,) masks of its vertices."""
-    left = np.ones(len(joined), np.bool_)
-    while left.any():
-        component = np.zeros(len(joined), np.bool_)
-        component[left.argmax()] = True
-        new = component
-        while new.any():
-            new = joined[new].any(axis=0) & ~component
-            component = component | new
-        left &= ~component
-        yield component
 
 
 def beta_all(points: ArrayLike, alpha: float, *, min_lifetime: float | None = None) -> Beta:

@@ -67,12 +67,9 @@ class LoopCheck:
     lifetime: float  #: lifetime of the loop, in the unit of the points
     death: float  #: death of the loop
     statistic: float  #: distance between the killers of the loop and of its counterpart; inf when it has none
-    legs: tuple[
-        float, ...
-    ]  #: distances from killer to killer along the chain of diagrams: one, or the corollary's three
-    bounds: Mapping[
-        str, float
-    ]  #: the bound of each version ("paper", "corrected", "intrinsic") that is about this loop
+    #: distances from killer to killer along the chain of diagrams: one, or the corollary's three
+    legs: tuple[float, ...]
+    bounds: Mapping[str, float]  #: the bound of each version ("paper", "corrected", "intrinsic") about this loop
 
 
 @dataclass(frozen=True)
