@@ -16,13 +16,16 @@ import numpy as np
 import pandas as pd
 import paper
 import pytest
+import torch
 import tracking_benchmark
 from forecasts import Clouds, Condition, EvaluationConfig, evaluate_forecasts
 from tables import bootstrap, draw_episodes, interval
+from torch.utils.data import default_collate
 
-from topokit.data import Dataset
+from topokit.data import Dataset, WindowDataset
 from topokit.evaluate import true_loops
 from topokit.io import load_episode
+from topokit.models import Scenes, build
 from topokit.sampling import covering_radius
 
 from _tracking_clouds import CAMERA, seen, seen_radius, true_parameters
@@ -194,6 +197,61 @@ def test_the_papers_experiment_goes_from_films_to_a_table_and_goes_on(tmp_path, 
     monkeypatch.setattr(paper, "train", None)
     monkeypatch.setattr(paper, "measure", None)
     paper.main(arguments)
+
+
+def test_the_networks_of_the_openings_are_trained_tuned_and_asked(tmp_path):
+    """The rates beside the best are tried, until none is better; a graph's forecast is read off the cloud that it moves."""
+    protocol = json.loads((EXPERIMENTS / "paper_openings.json").read_text())
+    protocol["films"]["validation"] = 3
+    small = {"training_films": 3, "seeds": [0], "batch": 16, "epoch": 16, "validation_windows": 4, "lengths": [1]}
+    rates = {"films": 3, "seed": 0, "epochs": 1, "first": 1e-3}
+    small |= {
+        "rates_of": rates,
+        "lengths_of": {"films": 3, "seed": 0},
+        "windows": {"validation": 4},
+        "garments": {"all": []},
+    }
+    (tmp_path / "little.json").write_text(json.dumps(protocol | small))
+    shutil.copytree(DATA / "dataset", tmp_path / "films")
+    arguments = ["--protocol", str(tmp_path / "little.json"), "--work", str(tmp_path)]
+    arguments += ["--out", str(tmp_path / "paper.csv"), "--stages", "trainings", "forecasts", "table"]
+    paper.main(arguments)
+    table = pd.read_csv(tmp_path / "paper_validation.csv")
+    assert protocol["networks"].keys() <= set(table["forecaster"])
+    ended = [paper.Trained.of(path.parent) for path in (tmp_path / "trainings").glob(f"*/{paper.SUMMARY}")]
+    for network in protocol["networks"]:
+        losses = {training.rate: training.loss for training in ended if training.network == network}
+        best = min(losses, key=losses.get)
+        row = protocol["rates"].index(best)
+        assert {1e-3, *protocol["rates"][max(row - 1, 0) : row + 2]} <= losses.keys()
+
+
+def test_a_network_that_is_given_loops_starts_from_carry():
+    windows = WindowDataset(DATA / "dataset", n_points=32)
+    window = default_collate([windows[0], windows[len(windows) - 1]])
+    shape = forecasts.Shape(points=32)
+    carried = build("carry", shape)(window)
+    states = build("givenloops", shape)(window)
+    torch.testing.assert_close(states.corners, carried.corners, atol=0.02, rtol=0)
+    present = carried.presence > 0
+    assert present.any()
+    assert ((states.presence > 0) == present).all()
+    torch.testing.assert_close(states.death[present], carried.death[present], atol=0.006, rtol=0)
+
+
+def test_a_graph_does_not_depend_on_the_place_nor_on_the_order_of_points():
+    scenes = Scenes(Dataset(DATA / "motion"), [2])
+    scene = default_collate([scenes[0], scenes[20]])
+    graph = build("graph", forecasts.Shape(points=160))
+    torch.nn.init.normal_(graph.out[-1].weight)
+    places, _ = graph(scene)
+    shift = torch.tensor([3.0, -2.0, 0.5])
+    moved = {name: scene[name] + shift for name in ("cloud", "points", "grippers", "target", "actions")}
+    there, _ = graph({**scene, **moved, "floor": scene["floor"] + shift[2]})
+    torch.testing.assert_close(there, places + shift, atol=1e-4, rtol=0)
+    order = torch.cat([torch.arange(24), 24 + torch.randperm(136), torch.arange(160, 176)])
+    mixed, _ = graph({**scene, "cloud": scene["cloud"][:, order[:160]], "flow": scene["flow"][:, order]})
+    torch.testing.assert_close(mixed, places, atol=1e-4, rtol=0)
 
 
 def test_tracks_of_a_film_are_scored(tmp_path, monkeypatch):

@@ -115,7 +115,7 @@ def differences(shares: pd.DataFrame, films: int) -> dict[str, Any]:
         name, _, trained_on = model.partition("|")
         if int(trained_on) in (0, films) or name.startswith("motion"):
             models[name] = model
-    rivals = [name for name in models if name.startswith(("mlp", "pointnet"))]
+    rivals = [name for name in models if name.startswith(("mlp", "pointnet", "graph"))]
     pairs = [(rival, other) for rival in rivals for other in ("seqph", SAME_POINTS, "hold", "carry", "blind")]
     pairs += [("pointnet", "mlp"), *(("motion", other) for other in models if other != "motion")]
     pairs += [("motion_whole", other) for other in models if other != "motion_whole"]

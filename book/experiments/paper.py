@@ -4,13 +4,14 @@
     python book/experiments/paper.py --protocol book/experiments/paper_anywhere.json --work runs/paper_anywhere
     python book/experiments/paper.py --protocol book/experiments/paper_curve.json --work runs/paper_curve
     python book/experiments/paper.py --protocol book/experiments/paper_usual.json --work runs/paper_usual
+    python book/experiments/paper.py --protocol book/experiments/paper_openings.json --work runs/paper_openings
 
 Questions, claims, measures, films, networks and their trainings are in the protocol. Nothing is chosen on the films to test on.
 Each of the six stages leaves alone what is in the folder already, so the same command goes on after it was stopped:
 
 films      garments, to train and to validate with; on coarse meshes where the protocol has no other
 labels     their loops, tracked on all vertices
-trainings  of each network: the rate, then the length, then all seeds; the learning curve has one seed at other numbers of films
+trainings  rates of all networks, then lengths, then all seeds; the learning curve has one seed at other numbers of films
 tests      films of other seeds and their loops, on the usual mesh and on the coarse one of the training films
 forecasts  of all windows by all forecasters, on validation films and on test films
 table      shares with intervals, the logs of the trainings, and what became of the claims
@@ -34,6 +35,7 @@ from typing import Any, Self
 import numpy as np
 import pandas as pd
 import torch
+from _paper_networks import AnyConfig
 from _paper_tables import MEASURES, lost, table_of
 from _paper_windows import GIVEN, LabelledScenes, Remedied, blind
 from forecasts import HORIZONS, Forecaster, kinds_of, measure, of_stream, of_windows, spread_windows, turned
@@ -50,6 +52,7 @@ STAGES = ("films", "labels", "trainings", "tests", "forecasts", "table")
 MLP_POINTS = 32  # the first of a cloud's points
 SUMMARY = "summary.json"
 CHECKPOINTS = ROOT / "data_small" / "checkpoints"
+OF_POINTS = ("motion", "graph")  # models that see scenes and move points; the others see windows
 
 LOGGED = ("epoch", "step", "seconds", "train_loss", "train_distance", "validation_loss", "validation_distance")
 KEYS = ["setting", "mesh", "garments", "measure", "forecaster", "training_films", "seed", "horizon"]
@@ -226,9 +229,9 @@ class Experiment:
         return training
 
     def seen_by(self, network: str, episodes: NDArray[np.int64]) -> Scenes | Remedied:
-        """Return what a network sees of some films in its training: a Motion sees scenes, the others see windows."""
+        """Return what a network sees of some films in its training: scenes or windows."""
         described = self.described(network)
-        if described["model"] == "motion":
+        if described["model"] in OF_POINTS:
             kind = LabelledScenes if described["labels"] else Scenes
             return kind(Dataset(self.folder / "films"), episodes.tolist())
         return self.remedied(network, self.windows_of(episodes))
@@ -241,23 +244,23 @@ class Experiment:
     def training_config(self, network: str, seed: int, rate: float, epochs: int) -> TrainConfig:
         """Return the configuration of a training. It is never stopped early: its rate has to fall to the end."""
         described = self.described(network)
-        options = dict(described["options"])
+        options = described["options"]
         more = sum(GIVEN[name] for name in described["given"])
         if described["model"] == "mlp":
-            options["points"] = MLP_POINTS + more
-        if described["model"] == "motion":
-            settings = {"shape": Shape(points=160), **described["training"]}
-        else:
-            settings = {
-                "loss": described["loss"],
-                "shape": replace(self.shape, points=self.shape.points + more),
-                "batch": self.protocol["batch"],
-                "epochs": epochs,
-                "windows_per_epoch": self.protocol["epoch"],
-                "validation_windows": self.protocol["validation_windows"],
-                "learning_rate": rate,
-            }
-        return TrainConfig(described["model"], options=options, seed=seed, patience=epochs, threads=1, **settings)
+            options = {"points": MLP_POINTS + more} | options
+        settings = {
+            "options": options,
+            "loss": described["loss"],
+            "shape": replace(self.shape, points=self.shape.points + more),
+            "batch": self.protocol["batch"],
+            "epochs": epochs,
+            "windows_per_epoch": self.protocol["epoch"],
+            "validation_windows": self.protocol["validation_windows"],
+            "learning_rate": rate,
+        }
+        if described["model"] in OF_POINTS:
+            settings |= {"shape": Shape(points=160), **described.get("training", {})}
+        return AnyConfig(described["model"], seed=seed, patience=epochs, threads=1, **settings)
 
     @property
     def trainings(self) -> list[tuple[str, int, list[int]]]:
@@ -269,11 +272,21 @@ class Experiment:
         return found
 
     def rate_of(self, network: str) -> float:
-        """Return the rate of the best of some whole trainings, which differ in nothing else."""
+        """Return the rate of the best of some whole trainings, which differ in nothing else.
+
+        Where the protocol has a first rate, those beside the best are tried until none beside it is better.
+        """
         how = self.protocol["rates_of"]
         rates = self.protocol["rates"]
-        tried = [self.train(network, how["films"], how["seed"], rate, how["epochs"]) for rate in rates]
-        return min(tried, key=lambda training: training.loss).rate
+        wanted = [how["first"]] if "first" in how else rates
+        losses: dict[float, float] = {}
+        while wanted:
+            for rate in wanted:
+                losses[rate] = self.train(network, how["films"], how["seed"], rate, how["epochs"]).loss
+            best = min(losses, key=losses.__getitem__)
+            row = rates.index(best)
+            wanted = [rate for rate in rates[max(row - 1, 0) : row + 2] if rate not in losses]
+        return best
 
     def length_of(self, network: str) -> int:
         """Return the epochs of a training that is no worse than one of twice the length.
@@ -302,9 +315,8 @@ class Experiment:
             rate = described["training"]["learning_rate"]
             length = described["training"]["epochs"]
         else:
-            model = described.get("like", network)
-            rate = self.rate_of(model)
-            length = self.length_of(model)
+            rate = self.rate_of(described.get("like", network))
+            length = self.length_of(described.get("like", network))
         for seed in seeds:
             self.train(network, films, seed, rate, length)
 
@@ -339,7 +351,15 @@ class Experiment:
         return float(np.median(heights))
 
     def train_all(self) -> None:
-        """Train all networks."""
+        """Train all networks: first all at the first rate, if there is one; then rates and lengths are sought; then all seeds."""
+        how = self.protocol.get("rates_of", {})
+        searched = [name for name in self.networks if not {"training", "like"} & self.described(name).keys()]
+        for network in searched:
+            if "first" in how:
+                self.train(network, how["films"], how["seed"], how["first"], how["epochs"])
+        for search in (self.rate_of, self.length_of):
+            for network in searched:
+                search(network)
         for network, films, seeds in self.trainings:
             self.train_seeds(network, films, seeds)
 
@@ -380,7 +400,7 @@ class Experiment:
             return of_windows(Predictor.load(self.ridge(asked.films)).model)
         predictor = Predictor.load(asked.checkpoint)
         described = self.described(asked.name)
-        if described["model"] != "motion":
+        if described["model"] not in OF_POINTS:
             return self.remedied(asked.name, windows).forecaster(predictor.model)
         exact = HORIZONS
         if asked.name == "motion_fast" or described["labels"]:

@@ -28,7 +28,7 @@ from topokit._archive import FormatError, atomic_file
 from topokit._config import from_mapping
 
 from ._baselines import Model, Normalisation, Ridge
-from ._checkpoint import build, describe, load_model, load_tensors, save_tensors
+from ._checkpoint import MODELS, build, describe, load_model, load_tensors, save_tensors
 from ._config import TrainConfig, Windows, spread
 from ._motion import Motion
 from ._states import StateTensors, Window, forecast_loss
@@ -101,7 +101,7 @@ class _Training:
         if saved:
             self._check_same(saved[0])
             normalisation = from_mapping(Normalisation, saved[0]["normalisation"], "normalisation")
-        elif config.model != "motion":
+        elif not issubclass(MODELS[config.model], Motion):
             normalisation = normalisation_of(windows.train)
 
         torch.manual_seed(config.seed)
