@@ -103,6 +103,13 @@ def test_the_edge_that_ends_a_loop_widens_its_hull():
         found = measured(states, TrueCurves((circle(),), closing))
         np.testing.assert_allclose(found["hull_distance"], expected, atol=1e-5)
         np.testing.assert_allclose(found["hull_distance_marked_curve"], 0.1, atol=1e-5)
+        np.testing.assert_allclose(found["opening_distance"], 0.1, atol=1e-5)
+    # By the paper's words the vertices down to that edge are marked. By the other measure the mean has to be near the edge.
+    found = measured(states, TrueCurves((circle(),), (edge,), marked=(np.concatenate([circle(), edge], axis=1),)))
+    np.testing.assert_allclose(found["opening_distance"], 0, atol=1e-5)
+    for place, expected in (((0, 0, -0.1), 0), ((0, 0.04, -0.1), 0.8), ((0, 0, -0.02), 1.6)):
+        found = measured(said([place], [0.05]), TrueCurves((circle(),), (edge,)))
+        np.testing.assert_allclose(found["killer_distance"], expected, atol=1e-4)
 
 
 def test_a_true_loop_that_is_not_there_is_not_asked_for():

@@ -18,7 +18,8 @@ import paper
 import pytest
 import torch
 import tracking_benchmark
-from forecasts import Clouds, Condition, EvaluationConfig, evaluate_forecasts
+from _paper_marking import marked_vertices
+from forecasts import Clouds, Condition, EvaluationConfig, evaluate_forecasts, true_curves
 from tables import bootstrap, draw_episodes, interval
 from torch.utils.data import default_collate
 
@@ -27,6 +28,7 @@ from topokit.evaluate import true_loops
 from topokit.io import load_episode
 from topokit.models import Scenes, build
 from topokit.sampling import covering_radius
+from topokit.sim import WARDROBE
 
 from _tracking_clouds import CAMERA, seen, seen_radius, true_parameters
 from conftest import DATA, polygon
@@ -178,7 +180,7 @@ def test_the_papers_experiment_goes_from_films_to_a_table_and_goes_on(tmp_path, 
     table = pd.read_csv(tmp_path / "paper_validation.csv")
     assert {"seqph", "hold", "carry", "blind", "ridge", "mlp", "mlp_unknown", "motion"} == set(table["forecaster"])
     assert ((table["low"] <= table["share"] + 1e-4) & (table["share"] <= table["high"] + 1e-4)).mean() > 0.95
-    mean = table[(table["seed"] == "all") & (table["measure"] == "marked1") & (table["horizon"] == "mean")]
+    mean = table[(table["seed"] == "all") & (table["measure"] == "opening") & (table["horizon"] == "mean")]
     shares = mean.groupby("forecaster")["share"].max()
     assert shares["seqph"] > shares["hold"]
     assert set(table["mesh"]) == {"usual"}
@@ -252,6 +254,32 @@ def test_a_graph_does_not_depend_on_the_place_nor_on_the_order_of_points():
     order = torch.cat([torch.arange(24), 24 + torch.randperm(136), torch.arange(160, 176)])
     mixed, _ = graph({**scene, "cloud": scene["cloud"][:, order[:160]], "flow": scene["flow"][:, order]})
     torch.testing.assert_close(mixed, places, atol=1e-4, rtol=0)
+
+
+def test_marked_vertices_are_a_band_around_the_opening():
+    """Of the apron with two loops: each strap, and cloth beside its ends as wide as the strap; of a sheet the border alone."""
+    films = Dataset(DATA / "dataset")
+    number = {record.garment: record.episode for record in films.records}
+    film = films[number["apron2"]]
+    sizes = {name: size for name, size in film.physics["garment"].items() if name != "scale"}
+    x, y, z = WARDROBE["apron2"](**sizes).vertices.T
+    neck, waist = marked_vertices(film)
+    assert set(np.flatnonzero(z > 0.001)) <= set(neck.tolist())
+    assert set(np.flatnonzero(y > 0.001)) <= set(waist.tolist())
+    front = waist[y[waist] < 0.001]
+    top = -sizes["bib_height"]
+    assert z[front].max() < top + 0.01
+    assert z[front].min() > top - sizes["waist_strap_width"] - 0.01
+    assert np.diff(np.sort(x[front])).max() < 2 * sizes["spacing"]
+    assert np.ptp(x[front]) == pytest.approx(sizes["body_width"])
+
+    windows = WindowDataset(films, [number["apron2"]])
+    (truth,) = true_curves(windows, [0], [1])
+    frame = windows.index[0, 1] + 1
+    for vertices, ids in zip(truth.marked, (neck, waist), strict=True):
+        assert vertices[0].tolist() == film.points[frame, ids].tolist()
+    sheet = films[number["sheet"]]
+    assert marked_vertices(sheet)[0].tolist() == sheet.loops[0].tolist()
 
 
 def test_tracks_of_a_film_are_scored(tmp_path, monkeypatch):

@@ -10,15 +10,12 @@ import numpy as np
 import pandas as pd
 from tables import bootstrap, interval, quotient
 
-# Each measure: the column of distances in metres, and how far beside the hull still counts.
+# Each measure: the column of distances, and the largest that counts. Records made before paper_openings.json have others.
 MEASURES = {
-    "marked": ("hull_distance_marked_curve", 1e-9),
-    "marked1": ("hull_distance_marked_curve", 0.01),
-    "marked3": ("hull_distance_marked_curve", 0.03),
-    "wide": ("hull_distance", 0.01),
-    "any": ("hull_distance_any_curve", 0.01),
+    "opening": ("opening_distance", 1e-9),  # metres outside the hull of the marked vertices
+    "killer": ("killer_distance", 1.0),  # halves of the edge that ends the loop, from its middle
 }
-SAME_POINTS = "seqph_128_points"  # seqPH on the points that PointNet is shown
+SAME_POINTS = ("seqph_128_points", "seqph_32_points")  # seqPH on the points that PointNet and the MLP are shown
 FEW = 5  # films of a garment; with fewer, its films are drawn with those of other such garments
 DRAWS = 1000
 
@@ -116,7 +113,7 @@ def differences(shares: pd.DataFrame, films: int) -> dict[str, Any]:
         if int(trained_on) in (0, films) or name.startswith("motion"):
             models[name] = model
     rivals = [name for name in models if name.startswith(("mlp", "pointnet", "graph"))]
-    pairs = [(rival, other) for rival in rivals for other in ("seqph", SAME_POINTS, "hold", "carry", "blind")]
+    pairs = [(rival, other) for rival in rivals for other in ("seqph", *SAME_POINTS, "hold", "carry", "blind")]
     pairs += [("pointnet", "mlp"), *(("motion", other) for other in models if other != "motion")]
     pairs += [("motion_whole", other) for other in models if other != "motion_whole"]
     pairs += [("motion_unknown", "carry")]

@@ -34,6 +34,8 @@ COLUMNS = (
     "hull_distance",  # of the farthest of the k means from its hull, metres; inf when fewer than k are forecast
     "hull_distance_any_curve",  # the same for the nearer of two hulls: of the marked curve, of another curve of its class
     "hull_distance_marked_curve",  # the same for hulls of the marked curves alone, of loops that are not present, too
+    "opening_distance",  # the same for hulls of the vertices that are marked by the paper's words, of all loops, too
+    "killer_distance",  # of the farthest mean from the middle of the edge that ends its loop, in halves of this edge
     "hull_distance_presence_ignored",  # as `hull_distance`, with loops ranked by lifetime times presence and none left out
     "in_plane",  # 1 when all k are in the curve's outline, seen along its normal, and near its plane
     "in_opening",  # 1 when all are nearer to the centres than the curves' farthest vertices, as for tracks in chapter 8
@@ -66,6 +68,7 @@ class TrueCurves:
     closing: tuple[Array, ...] = ()
     present: tuple[NDArray[np.bool_], ...] = ()  #: for each loop (K,) whether it is present; all are when not given
     tight: tuple[Sequence[Array], ...] = ()  #: for each loop K other curves of its class, (n, 3) each
+    marked: tuple[Array, ...] = ()  #: for each loop the vertices (K, n, 3) that are marked; its curve when not given
 
     def hulls(self, loop: int, k: int) -> list[Array]:
         """Return the points (n, 3) whose convex hulls stand for the loop: those of the marked curve, and of another one.
@@ -93,6 +96,11 @@ class TrueCurves:
                 centres[k, loop] = curve_centroid(curve)
                 radii[k, loop] = np.linalg.norm(curve - centres[k, loop], axis=1).max()
         return centres, radii
+
+    def from_killer(self, loop: int, k: int, point: Array) -> float:
+        """Return the distance of a point from the middle of the edge that ends a loop, as a share of half the edge's length."""
+        one, other = self.closing[loop][k]
+        return float(2 * np.linalg.norm(point - (one + other) / 2) / np.linalg.norm(one - other))
 
     def beside(self, loop: int, k: int, point: Array) -> float:
         """Return the distance of a point from a curve's plane, as a share of the allowed one; inf outside the outline.
@@ -220,11 +228,13 @@ class _Sample:
         return float(np.mean([self.slot_of_loop.get(loop) == first.slot_of_loop[loop] for loop in still]))
 
     def places(self) -> dict[str, float]:
-        """Return the columns about places; where no true loop is present, only that of the marked curves."""
+        """Return the columns about places; where no true loop is present, only those of the marked curves and vertices."""
         truth = self.truth
         k = self.k
-        marked = [[curve[k]] for curve in truth.curves]
-        values = {"hull_distance_marked_curve": self.hull_distance(self.ranked, marked)}
+        curves = [[curve[k]] for curve in truth.curves]
+        values = {"hull_distance_marked_curve": self.hull_distance(self.ranked, curves)}
+        marked = [[vertices[k]] for vertices in truth.marked or truth.curves]
+        values["opening_distance"] = self.hull_distance(self.ranked, marked)
         if not self.loops:
             return values
 
@@ -236,7 +246,10 @@ class _Sample:
         values["hull_distance_any_curve"] = self.hull_distance(self.ranked, either)
         values["hull_distance_presence_ignored"] = self.hull_distance(likeliest, first)
 
-        # Compare with planes, openings and centres.
+        # Compare with the edges that end the loops, with planes, openings and centres.
+        if truth.closing:
+            ends = [[truth.from_killer(loop, k, self.means[slot]) for loop in self.loops] for slot in self.ranked]
+            values["killer_distance"] = _least_worst(ends, len(self.loops))
         beside = [[truth.beside(loop, k, self.means[slot]) for loop in self.loops] for slot in self.ranked]
         values["in_plane"] = _least_worst(beside, len(self.loops)) <= 1
         shares = (self.distances / truth.extents[1][k])[self.ranked][:, self.loops]

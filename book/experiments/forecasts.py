@@ -22,6 +22,7 @@ from typing import Any
 import numpy as np
 import pandas as pd
 import torch
+from _paper_marking import marked_vertices
 from accuracy import TrueCurves, measure_forecasts
 from numpy.typing import NDArray
 from spoilt import spoil
@@ -258,6 +259,7 @@ def true_curves(windows: WindowDataset, rows: Sequence[int], steps: Sequence[int
                 closing=tuple(ends[frames] for ends in whole.closing),
                 present=tuple(present[frames] for present in whole.present),
                 tight=tuple([loop[frame] for frame in frames] for loop in whole.tight),
+                marked=tuple(vertices[frames] for vertices in whole.marked),
             )
         )
     return curves
@@ -276,6 +278,7 @@ def _true_curves(folder: Path, number: int) -> TrueCurves:
         closing=tuple(points[every, killers[:, i]] for i in loops),
         present=tuple(np.array([frame.present for frame in frames]).T),
         tight=tuple([cloud[frame.tight[i]] for cloud, frame in zip(points, frames, strict=True)] for i in loops),
+        marked=tuple(points[:, ids] for ids in marked_vertices(episode)),
     )
 
 

@@ -472,7 +472,7 @@ class Experiment:
             samples = pd.concat([pd.read_csv(path) for path in paths], ignore_index=True)
             yield garments, samples
             for name in names:
-                if (samples["garment"] == name).any():
+                if name != garments and (samples["garment"] == name).any():
                     yield name, samples[samples["garment"] == name]
 
     def tabulate(self, out: Path) -> None:
