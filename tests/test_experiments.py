@@ -155,7 +155,6 @@ def test_the_papers_experiment_goes_from_films_to_a_table_and_goes_on(tmp_path, 
     protocol["networks"]["mlp_without_sheet"] = without
     small = {
         "training_films": 3,
-        "curve": {"films": [2], "networks": ["mlp"], "seed": 0},
         "seeds": [0, 1],
         "batch": 32,
         "epoch": 32,

@@ -1,4 +1,4 @@
-"""The tables of paper.py: shares in the hull with intervals, learning curves carried on, and the differences of the claims.
+"""The tables of paper.py: shares with intervals, and the differences of the claims.
 
 Idea: every forecaster gets the same bootstrap draws of films, so that a difference of two shares is on the same films. A model is
 named here by its forecaster and its number of training films, `mlp|500`.
@@ -6,7 +6,6 @@ named here by its forecaster and its number of training films, `mlp|500`.
 
 from typing import Any
 
-import numpy as np
 import pandas as pd
 from tables import bootstrap, interval, quotient
 
@@ -54,10 +53,8 @@ def shares_of(samples: pd.DataFrame, draws_seed: int = 0) -> dict[str, tuple[pd.
     return answer
 
 
-def table_of(
-    samples: pd.DataFrame, films: int, extrapolated_to: int, curve_seed: int
-) -> tuple[pd.DataFrame, dict[str, Any]]:
-    """Return the tidy table, with the learning curves carried on to more films; and the differences of the claims.
+def table_of(samples: pd.DataFrame, films: int) -> tuple[pd.DataFrame, dict[str, Any]]:
+    """Return the tidy table, and the differences of the claims.
 
     Claims are about the networks trained on `films` films.
     """
@@ -65,41 +62,13 @@ def table_of(
     claims = {}
     for measure, (shares, counts) in shares_of(samples).items():
         claims[measure] = differences(shares, films)
-        cells = interval(pd.concat([shares, carried_on(shares, extrapolated_to, curve_seed)], axis=1))
+        cells = interval(shares)
         for (model, seed, horizon), cell in cells.rename(columns={"mean": "share"}).iterrows():
             forecaster, _, training_films = model.partition("|")
             row = {"measure": measure, "forecaster": forecaster, "training_films": int(training_films), "seed": seed}
             row |= {"horizon": horizon, **cell, "films": samples["episode"].nunique()}
-            rows.append(row | {"windows": int(counts.get((model, seed, horizon), 0))})
+            rows.append(row | {"windows": int(counts[model, seed, horizon])})
     return pd.DataFrame(rows), claims
-
-
-def carried_on(shares: pd.DataFrame, films: int, seed: int) -> pd.DataFrame:
-    """Return the learning curves at more films: straight lines through the logarithms of misses and of films.
-
-    The line is fitted in every draw, so that its interval has the noise of films, and not that of its being no line. A curve is
-    of one seed: where a network was trained with several, `seed` is taken.
-    """
-    sizes: dict[str, list[int]] = {}
-    for model in shares.columns.unique(0):
-        name, _, size = model.partition("|")
-        if int(size):
-            sizes.setdefault(name, []).append(int(size))
-    found = {}
-    for name, known in sizes.items():
-        if len(known) < 3:
-            continue
-        logs = np.log(sorted(known))
-        offsets = logs - logs.mean()
-        alone = {size: str(seed) in shares[f"{name}|{size}"].columns.unique(0) for size in known}
-        seeds = {size: str(seed) if alone[size] else "all" for size in known}
-        for horizon in shares[f"{name}|{known[0]}"]["all"]:
-            misses = np.column_stack([1 - shares[f"{name}|{size}", seeds[size], horizon] for size in sorted(known)])
-            heights = np.log(np.maximum(misses, 1e-3))
-            slopes = heights @ offsets / (offsets @ offsets)
-            ahead = heights.mean(axis=1) + slopes * (np.log(films) - logs.mean())
-            found[f"{name}, extrapolated|{films}", "all", horizon] = 1 - np.exp(np.minimum(ahead, 0))
-    return pd.DataFrame(found, index=shares.index)
 
 
 def differences(shares: pd.DataFrame, films: int) -> dict[str, Any]:

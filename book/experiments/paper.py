@@ -2,7 +2,6 @@
 
     python book/experiments/paper.py
     python book/experiments/paper.py --protocol book/experiments/paper_anywhere.json --work runs/paper_anywhere
-    python book/experiments/paper.py --protocol book/experiments/paper_curve.json --work runs/paper_curve
     python book/experiments/paper.py --protocol book/experiments/paper_usual.json --work runs/paper_usual
     python book/experiments/paper.py --protocol book/experiments/paper_openings.json --work runs/paper_openings
 
@@ -11,13 +10,14 @@ Each of the six stages leaves alone what is in the folder already, so the same c
 
 films      garments, to train and to validate with; on coarse meshes where the protocol has no other
 labels     their loops, tracked on all vertices
-trainings  rates of all networks, then lengths, then all seeds; the learning curve has one seed at other numbers of films
+trainings  rates of all networks, then lengths, then all seeds
 tests      films of other seeds and their loops, on the usual mesh and on the coarse one of the training films
 forecasts  of all windows by all forecasters, on validation films and on test films
 table      shares with intervals, the logs of the trainings, and what became of the claims
 
-Test films are forecast only when every network has been trained with every seed; the learning curve is measured on the
-validation films. On one core: 1.5 hours of films, half an hour of labels; an MLP sees 1,000 windows a second, PointNet 450.
+Test films are forecast only when every network has been trained with every seed. The learning curves of the records (`curve` in
+the protocols, and paper_curve.json) were made by this script at commit 3a4bc539. On one core: 1.5 hours of films, half an hour of
+labels; an MLP sees 1,000 windows a second, PointNet 450.
 
 Source: Antonova et al. 2021, section 6 and figure 4. Taught in chapter 15.
 """
@@ -111,11 +111,6 @@ class Experiment:
     workers: int
     networks: tuple[str, ...]
 
-    @property
-    def sizes(self) -> list[int]:
-        """Return the numbers of training films."""
-        return [self.protocol["training_films"], *self.protocol["curve"]["films"]]
-
     def generate(self, described: dict[str, Any], episodes: int, folder: str) -> Dataset:
         """Make the films that the protocol describes, or go on with them."""
         path = self.configs / described["config"]
@@ -160,14 +155,15 @@ class Experiment:
     def make_films(self) -> None:
         """Make films until there are enough for the largest training; those that are refused are replaced."""
         described = self.protocol["films"]
+        wanted = self.protocol["training_films"]
         first = described["validation"]
-        episodes = first + max(self.sizes)
+        episodes = first + wanted
         if (self.folder / "films").exists():
             episodes = max(episodes, len(Dataset(self.folder / "films").wanted))
         missing = 1
         while missing > 0:
             films = self.generate(described, episodes, "films")
-            missing = max(self.sizes) - int((films.episodes >= first).sum())
+            missing = wanted - int((films.episodes >= first).sum())
             episodes += missing
 
     def label_films(self) -> None:
@@ -262,15 +258,6 @@ class Experiment:
             settings |= {"shape": Shape(points=160), **described.get("training", {})}
         return AnyConfig(described["model"], seed=seed, patience=epochs, threads=1, **settings)
 
-    @property
-    def trainings(self) -> list[tuple[str, int, list[int]]]:
-        """Return the networks to train, their numbers of films and their seeds; those that the claims are about first."""
-        curve = self.protocol["curve"]
-        found = [self.claimed(network) for network in self.networks]
-        for films in curve["films"]:
-            found += [(network, films, [curve["seed"]]) for network in self.networks if network in curve["networks"]]
-        return found
-
     def rate_of(self, network: str) -> float:
         """Return the rate of the best of some whole trainings, which differ in nothing else.
 
@@ -360,23 +347,21 @@ class Experiment:
         for search in (self.rate_of, self.length_of):
             for network in searched:
                 search(network)
-        for network, films, seeds in self.trainings:
-            self.train_seeds(network, films, seeds)
+        for network in self.networks:
+            self.train_seeds(*self.claimed(network))
 
     # -------------------------------------------------------------------------------------------------------------- forecasts
 
     def asked(self, part: str) -> list[Asked]:
         """Return the forecasters to ask; of the networks those trainings that have ended.
 
-        The learning curve is measured on the validation films, and so is what is not `tested`. So these can be continued, and no
-        test film is seen twice.
+        What is not `tested` is measured on the validation films. So it can be continued, and no test film is seen twice.
         """
         most = self.protocol["training_films"]
         names = ["seqph", *(f"seqph_{points}_points" for points in self.shown_points), "hold", "carry"]
         found = [*map(Asked, names), Asked("blind", most), Asked("ridge", most)]
-        for network, films, seeds in self.trainings:
-            if part != "validation" and films != self.claimed(network)[1]:
-                continue
+        for network in self.networks:
+            _, films, seeds = self.claimed(network)
             for seed, training in sorted(self.ended(network, films).items()):
                 if seed in seeds:
                     checkpoint = training.folder / "best.safetensors"
@@ -454,7 +439,7 @@ class Experiment:
         made_with = {"topokit": topokit.__version__, "torch": torch.__version__, "numpy": np.__version__}
         found: dict[str, Any] = {"made_with": made_with, "protocol": protocol}
         found["validation"] = _checksum(folder, self.training_films(1)[1])
-        for films in sorted(self.sizes):
+        for films in sorted({self.claimed(network)[1] for network in self.networks}):
             found[f"{films} films"] = _checksum(folder, self.training_films(films)[0])
         for mesh in self.protocol["tests"]:
             test = self.folder / f"test_{mesh}"
@@ -492,8 +477,7 @@ class Experiment:
                 for garments, samples in self.samples(part):
                     if garments == "all":
                         whole[mesh] = samples
-                    curve = protocol["extrapolated_to"], protocol["curve"]["seed"]
-                    table, differences = table_of(samples, protocol["training_films"], *curve)
+                    table, differences = table_of(samples, protocol["training_films"])
                     tables.append(table.assign(setting=setting, mesh=mesh, garments=garments))
                     claims[f"{garments}, {mesh} mesh"] = differences
             before, after = protocol.get("lost_between", ("", ""))
