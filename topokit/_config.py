@@ -63,10 +63,7 @@ def from_mapping(kind: type[T], entries: Any, where: str) -> T:
     """Return a checked dataclass made of plain numbers, strings, lists and dicts; errors name `where` and the entry."""
     if not isinstance(entries, Mapping):
         raise ValueError(f"{where} must be an object with named entries, not {entries!r:.200}")
-    try:
-        plain = json.dumps(dict(entries), default=str)  # JSON, because its lists may be tuples
-    except (TypeError, ValueError) as error:
-        raise ValueError(f"{where}: {error}") from error
+    plain = json.dumps(dict(entries), default=str)  # JSON, because its lists may be tuples
     try:
         return TypeAdapter(kind).validate_json(plain)
     except ValidationError as error:

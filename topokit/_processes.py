@@ -70,7 +70,9 @@ class _Crew:
                 sent, _ = process.communicate(work, timeout=self.time_limit)
                 if process.returncode == 0:
                     return pickle.loads(sent)
-                failures.append(_fate(process.returncode))
+                failures.append(f"exit code {process.returncode}")
+                if process.returncode < 0:
+                    failures[-1] = f"ended by signal {-process.returncode}: a crash, or out of memory"
             except subprocess.TimeoutExpired:
                 failures.append(f"stopped after {self.time_limit:g} s")
                 process.kill()
@@ -102,13 +104,6 @@ class _Crew:
             self.stopped = True
             for process in list(self.running):
                 process.kill()
-
-
-def _fate(code: int) -> str:
-    """Return in words how a process ended that sent no outcome."""
-    if code < 0:
-        return f"ended by signal {-code}: a crash, or out of memory"
-    return f"ended with exit code {code}"
 
 
 def perform() -> None:

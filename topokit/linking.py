@@ -71,11 +71,6 @@ def linking_numbers(curves_a: ArrayLike, curves_b: ArrayLike) -> tuple[NDArray[n
     curves_b : (B, m, 3) or (m, 3) array_like
         Closed curves as in `linking_number`. A single curve is linked with each of the others.
 
-    Raises
-    ------
-    ValueError
-        In the cases of `linking_number`; the message also names the curve of the batch.
-
     Examples
     --------
     >>> square = np.array([[1, 0, 0], [0, 1, 0], [-1, 0, 0], [0, -1, 0]])
@@ -108,17 +103,12 @@ def close_far(
     Parameters
     ----------
     curve : (n, 3) array_like
-        Corners in order, two at least. The default directions suit a curve from its foot up to its tip: it then continues
-        down through the floor and up from the tip.
+        Corners in order, two different ones at least. The default directions suit a curve from its foot up to its tip: it
+        then continues down through the floor and up from the tip.
     start, end : (3,) array_like
         Directions of any length except zero.
     far : float
         Length of the leads, in sizes of the curve (its longest extent along an axis).
-
-    Raises
-    ------
-    ValueError
-        When there are fewer than two corners, the curve has no extent, or a direction is zero.
 
     Examples
     --------

@@ -10,27 +10,17 @@ density for batches of tensors, and is differentiable.
 from __future__ import annotations
 
 from dataclasses import dataclass
-from typing import Any, Protocol
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
-from numpy.typing import ArrayLike, NDArray
+from numpy.typing import ArrayLike
 
 from ._validate import Array, as_points, own_arrays, positive
 
+if TYPE_CHECKING:
+    from .seqph import Loop
+
 __all__ = ["InverseWishart", "LoopMixture", "loop_mixture"]
-
-
-class Triangles(Protocol):
-    """The part of a loop that a mixture needs: a tracked loop (`topokit.seqph.Loop`) has it."""
-
-    @property
-    def killer_triangles(self) -> NDArray[np.floating]: ...  # (2, 3, d)
-    @property
-    def neighbours(self) -> NDArray[np.floating]: ...  # (m, 3, d)
-    @property
-    def killer_values(self) -> NDArray[np.floating]: ...  # (2,)
-    @property
-    def neighbour_values(self) -> NDArray[np.floating]: ...  # (m,)
 
 
 @dataclass(frozen=True, eq=False)
@@ -42,21 +32,14 @@ class InverseWishart:
     dof + 2), whose mean is (scale + A) / (dof + 1 - d).
     """
 
-    #: scale matrix (d, d) in square metres; a number is that multiple of the identity. The prior's mean is scale / (dof - d - 1)
+    #: positive definite matrix (d, d), square metres; a number is that multiple of the identity. The prior's mean is
+    #: scale / (dof - d - 1)
     scale: ArrayLike
     #: degrees of freedom, above d - 1. When not given d + 2, the smallest whole number for which the prior has a mean, `scale`
     dof: float | None = None
 
     def posterior_mean(self, scatter: Array) -> Array:
-        """Return the mean covariance (..., d, d), given the scatter (..., d, d) of three vertices.
-
-        Raises
-        ------
-        ValueError
-            When `dof` is not above d - 1.
-        numpy.linalg.LinAlgError
-            When `scale` is not positive definite.
-        """
+        """Return the mean covariance (..., d, d), given the scatter (..., d, d) of three vertices."""
         d = scatter.shape[-1]
         dof = d + 2.0 if self.dof is None else self.dof
         if not dof > d - 1:
@@ -121,13 +104,7 @@ class LoopMixture:
         return np.asarray(self.means[component] + (factor[component] @ white)[..., 0])
 
     def log_prob(self, x: ArrayLike) -> Array:
-        """Return the natural logarithm (n,) of the density at points `x` (n, d); for one point (d,) it is a scalar.
-
-        Raises
-        ------
-        ValueError
-            When `x` is neither a point nor a list of points of the mixture's dimension, or has a NaN or infinite coordinate.
-        """
+        """Return the natural logarithm (n,) of the density at points `x` (n, d); for one point (d,) it is a scalar."""
         is_point = np.ndim(x) == 1
         points = as_points(np.atleast_2d(np.asarray(x)), "x")
         d = self.means.shape[1]
@@ -180,7 +157,7 @@ class LoopMixture:
         return np.asarray(1 - not_above / n)
 
 
-def loop_mixture(loop: Triangles, noise: float = 1e-4, prior: InverseWishart | None = None) -> LoopMixture:
+def loop_mixture(loop: Loop, noise: float = 1e-4, prior: InverseWishart | None = None) -> LoopMixture:
     """Return the Gaussian mixture of a loop, with a component for each killer triangle and each neighbouring one.
 
     Parameters

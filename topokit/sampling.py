@@ -37,11 +37,6 @@ def farthest_point_sample(points: ArrayLike, n: int, start: int | None = 0) -> t
         The covering radius: every point is within this distance of a chosen one. It is at most twice the smallest
         possible radius (Gonzalez 1985).
 
-    Raises
-    ------
-    ValueError
-        When `n` or `start` is out of range, or `points` is no point cloud.
-
     Examples
     --------
     >>> farthest_point_sample([[0.0], [1.0], [2.0], [4.0]], 2)
@@ -68,18 +63,13 @@ def farthest_point_sample(points: ArrayLike, n: int, start: int | None = 0) -> t
     return np.array(chosen, dtype=np.int64), float(np.sqrt(squared[newest]))
 
 
-def covering_radius(dense: ArrayLike, sample: ArrayLike | cKDTree) -> float:
+def covering_radius(dense: ArrayLike, sample: ArrayLike) -> float:
     """Return the largest distance from a point of `dense` to its nearest point of `sample`: the paper's alpha, in their unit.
 
     Parameters
     ----------
     dense, sample : (n, d), (m, d) array_like
-        Point sets with at least one point each; `sample` may be a tree of its points.
-
-    Raises
-    ------
-    ValueError
-        When a set has no point, or the sets differ in dimension.
+        Point sets with at least one point each.
 
     Examples
     --------
@@ -107,11 +97,6 @@ def hausdorff(a: ArrayLike | cKDTree, b: ArrayLike | cKDTree) -> float:
     ----------
     a, b : (n, d), (m, d) array_like
         Point sets with at least one point each, or trees of them.
-
-    Raises
-    ------
-    ValueError
-        When a set is empty or no point cloud, or their dimensions differ.
 
     Examples
     --------

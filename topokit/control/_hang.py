@@ -70,20 +70,16 @@ def hang(
     try:
         if controller is None and model is None:
             controller = Servo(n_loops, **sizes)
-        elif controller is None:
-            controller = Planner(_forecast(str(model)), n_loops, seed=seed, **sizes)
+        elif model is not None and controller is None:
+            forecast = None
+            if str(model) != "carry":
+                from topokit.models import Predictor
+
+                forecast = Predictor.load(model)
+            controller = Planner(forecast, n_loops, seed=seed, **sizes)
         return _run(env, scene, controller, seed, max_steps)
     finally:
         env.close()
-
-
-def _forecast(model: str) -> Any:
-    """Return the forecast for the argument `model` of `hang`; None for the rigid one."""
-    if model == "carry":
-        return None
-    from topokit.models import Predictor
-
-    return Predictor.load(model)
 
 
 def _run(env: gymnasium.Env[Any, Any], scene: HangEnv, controller: Any, seed: int, max_steps: int) -> Outcome:

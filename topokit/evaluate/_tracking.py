@@ -170,14 +170,10 @@ def compare(
     Parameters
     ----------
     states, truth : sequences of TopologicalState and TrueLoops
+        One of each for every frame.
     similarity : callable
         Takes the `TrueLoops` and the `TopologicalState` of a frame, and returns similarities (true loops, tracked loops) from 0
         to 1. The default is 1 - distance of the centres / (2 radius of the true loop), not below 0.
-
-    Raises
-    ------
-    ValueError
-        When `states` and `truth` differ in their number of frames.
     """
     overlaps = []
     for true, state in zip(truth, states, strict=True):

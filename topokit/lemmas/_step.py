@@ -154,23 +154,20 @@ class Step:
         """Return the diagram of a place: of all points, or of the observed ones."""
         return self.state(place).diagram if place.startswith("S") else self.state(place).observed_diagram
 
-    def killer_edges(self, place: str) -> Ids:
-        """Return (k, 2) vertex ids, in the state, of the killer edges of a place."""
-        edges = self.diagram(place).killer_edge
-        return edges if place.startswith("S") else self.state(place).ids[edges]
-
     def killers(self, place: str, n_loops: int) -> Ids:
         """Return (n, 2) vertex ids of the killer edges of n loops in a place.
 
         The loops are the longest-lived ones of S_t, followed to the place by the matchings; -1 where one has no counterpart.
         """
         # The appended -1 makes the index -1, no counterpart, stay -1.
+        edges = self.diagram(place).killer_edge
         loops = np.arange(n_loops)
         if place.endswith("+1"):
             loops = np.append(self.matching.partner, -1)[loops]
         if place.startswith("O"):
+            edges = self.state(place).ids[edges]
             loops = np.append(self.state(place).matching.partner, -1)[loops]
-        return np.vstack([self.killer_edges(place), [[-1, -1]]])[loops]
+        return np.vstack([edges, [[-1, -1]]])[loops]
 
     def killer_distances(self, place: str, other: str, n_loops: int) -> Array:
         """Return (n, n) Hausdorff distances between the `killers` of two places; inf where a loop has no counterpart."""

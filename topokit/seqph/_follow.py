@@ -40,13 +40,6 @@ def follow(loops: Iterable[Loop], cloud: ArrayLike, tracker: SeqPH | None = None
         The tracker whose last cloud has moved. Points that it left out are left out. Loops that are born in the moved cloud, by
         the evidence of the tracker, are returned too, with identities of their own.
 
-    Raises
-    ------
-    ValueError
-        When the cloud lacks a point of a loop's cycle, or has another dimension than the loops.
-    LookupError
-        When a loop has no cycle.
-
     Examples
     --------
     >>> import numpy as np, topokit as tk

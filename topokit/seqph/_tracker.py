@@ -103,11 +103,6 @@ class SeqPH:
         It is called for the known loops with positive belief, then for the rest. By default it minimises the total
         distance of places within the gates.
 
-    Raises
-    ------
-    TypeError, ValueError
-        When an option has the wrong type or value.
-
     Examples
     --------
     >>> square = np.array([[0, 0], [1, 0], [1, 1], [0, 1.01]])
@@ -227,14 +222,9 @@ class SeqPH:
         return self._last_frame
 
     def evidence(self, diagram: Diagram) -> Array:
-        """Return the log-odds (m,) that each bar of a diagram is a loop, by the last frame alone.
+        """Return the log-odds (m,) that each bar is a loop, by the last frame alone; by alpha alone they are infinite.
 
-        By alpha alone they are infinite, for or against.
-
-        Parameters
-        ----------
-        diagram : Diagram
-            Of the points that count in the last frame, wherever they are now.
+        The diagram is of the points that count in the last frame, wherever they are now.
         """
         return self._evidence(diagram, self.frame)
 

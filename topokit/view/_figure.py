@@ -114,16 +114,10 @@ class HtmlFigure:
         return f"{type(self).__name__}({self.title!r}, {len(self.page) / 1000:.0f} kB)"
 
     def save(self, path: str | Path) -> Path:
-        """Write the figure as one HTML file that opens in any browser, and return its path.
-
-        Parameters
-        ----------
-        path : str or Path
-        """
-        path = Path(path).expanduser()
+        """Write the figure as one HTML file that opens in any browser, and return its path."""
         with atomic_file(path) as file:
             file.write(self.page.encode())
-        return path
+        return Path(path)
 
 
 def _text(folder: Path, file: str, missing: str | None = None) -> str:

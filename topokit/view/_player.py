@@ -44,11 +44,6 @@ def player(
     film : bool
         Leave out the charts and play in a loop until the reader stops it. It does not start by itself when the reader's
         system is set to reduced motion.
-
-    Raises
-    ------
-    ValueError
-        When `states` has another length than the episode.
     """
     if len(states) != len(episode):
         raise ValueError(f"states has {len(states)} frames where episode has {len(episode)}; track the same episode")
