@@ -259,26 +259,26 @@ def _gated(new: Tensor, old: Tensor, code: Tensor) -> Tensor:
     """Return the next code (C, N, width) of a gated recurrent unit, from new inputs and those of the old code."""
     width = code.shape[-1]
     keep, use = torch.sigmoid(new[..., width:] + old[..., width:]).chunk(2, dim=-1)
-    candidate = torch.tanh(new[..., :width] + use * old[..., :width])
-    return keep * code + (1 - keep) * candidate
+    candidate = torch.tanh(torch.addcmul(new[..., :width], use, old[..., :width]))
+    return candidate.lerp(code, keep)
 
 
 def _beside(points: Tensor, line: Tensor) -> Tensor:
     """Return features (B, N, 5) of points (B, N, 3) near a line (B, L + 1, 3): fading offset and place along it, and nearness."""
-    # Find the nearest piece of the line.
-    start = line[:, None, :-1]  # (B, 1, L, 3)
-    along = line.diff(dim=1)[:, None]
-    offset = points[:, :, None] - start  # (B, N, L, 3)
-    square = along.square().sum(dim=-1).clamp_min(1e-9 / UNIT**2)
-    share = ((offset * along).sum(dim=-1) / square).clamp(0, 1)  # (B, N, L)
-    toward = share[..., None] * along - offset
-    nearest = toward.square().sum(dim=-1).argmin(dim=-1, keepdim=True)  # (B, N, 1)
+    start = line[:, :-1]  # (B, L, 3)
+    along = line.diff(dim=1)
+    square = along.square().sum(dim=-1)[:, None].clamp_min(1e-9 / UNIT**2)  # (B, 1, L)
+    # Find the nearest piece of the line. Squared distances are sums of products, up to the square of the point.
+    product = points @ along.mT - (start * along).sum(dim=-1)[:, None]  # (B, N, L)
+    share = (product / square).clamp(0, 1)
+    to_start = start.square().sum(dim=-1)[:, None] - 2 * points @ start.mT
+    nearest = (to_start + share * (share * square - 2 * product)).argmin(dim=-1, keepdim=True)  # (B, N, 1)
 
     # The offset to its nearest place fades with the distance.
     share = share.gather(2, nearest)
-    toward = toward.take_along_dim(nearest[..., None], dim=2)[:, :, 0]  # (B, N, 3)
+    toward = start.take_along_dim(nearest, dim=1) + share * along.take_along_dim(nearest, dim=1) - points  # (B, N, 3)
     near = _nearness(toward.norm(dim=-1, keepdim=True))
-    place = (nearest + share) / start.shape[2]
+    place = (nearest + share) / start.shape[1]
     return torch.cat([toward * near, place * near, near], dim=-1)
 
 

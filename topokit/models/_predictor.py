@@ -124,14 +124,14 @@ class Predictor:
         return [self._frames[0]] * missing + list(self._frames)
 
     def _plans(self, actions: ArrayLike, held: ArrayLike | None) -> list[tuple[Tensor, Tensor]]:
-        """Return plans (C, 60, 2, 3) and holds (C, 60), 250 at once: for more, activations do not stay in the cache."""
+        """Return plans (C, 60, 2, 3) and holds (C, 60), 128 at once: for more, activations do not stay in the cache."""
         plans = torch.as_tensor(np.asarray(actions, np.float32))
         steps = self.model.shape.horizon
         if plans.shape[-3:] != (steps, 2, 3):
             raise ValueError(f"actions must be ({steps}, 2, 3) or (plans, {steps}, 2, 3), not {tuple(plans.shape)}")
         plans = plans.reshape(-1, steps, 2, 3)
         holds = torch.as_tensor(np.asarray(True if held is None else held, bool)).expand(plans.shape[:2])
-        return list(zip(plans.split(250), holds.split(250), strict=True))
+        return list(zip(plans.split(128), holds.split(128), strict=True))
 
 
 class MotionPredictor(Predictor):
@@ -203,7 +203,14 @@ class MotionPredictor(Predictor):
         """
         chunks = self._plans(actions, held)
         codes = self._encode(self._history()[-1][0].data if points is None else np.asarray(points, np.float64))
-        parts = [self.model.under(codes, *chunk) for chunk in chunks]
+        # Many plans are compared, so their products may be of bfloat16: it is some mm off where a processor multiplies so.
+        precision = torch.get_float32_matmul_precision()
+        if len(chunks[0][0]) > 1:
+            torch.set_float32_matmul_precision("medium")
+        try:
+            parts = [self.model.under(codes, *chunk) for chunk in chunks]
+        finally:
+            torch.set_float32_matmul_precision(precision)
         places, scales = (torch.cat(part)[:, :, codes.carriers :].numpy() for part in zip(*parts, strict=True))
 
         # Between the knots, along straight lines from the present places on.
