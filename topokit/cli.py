@@ -9,6 +9,7 @@ from __future__ import annotations
 
 import dataclasses
 import json
+import os
 import sys
 from argparse import SUPPRESS, ArgumentParser, ArgumentTypeError
 from collections.abc import Callable, Sequence
@@ -20,11 +21,11 @@ from . import __version__
 if TYPE_CHECKING:
     from numpy.typing import NDArray
 
+    from .io import Episode
     from .seqph import TopologicalState
 
-Answer = dict[
-    str, Any
-]  # values and tables, a table as a list of rows; an answer whose `success` is false ends in exit code 1
+# Values and tables, a table as a list of rows. An answer whose `success` is false ends in exit code 1.
+Answer = dict[str, Any]
 
 
 def main(arguments: Sequence[str] | None = None) -> int:
@@ -36,7 +37,7 @@ def main(arguments: Sequence[str] | None = None) -> int:
         command = f"topokit {work.__name__}"
         as_json = options.pop("json", False)
         answer = work(**options)
-        print(json.dumps(answer) if as_json else _table(answer), flush=True)
+        print(json.dumps(answer, default=os.fspath) if as_json else _table(answer), flush=True)
     except (ValueError, ImportError, OSError, MemoryError) as error:
         print(f"{command}: error: {error}", file=sys.stderr)
         return 2
@@ -76,12 +77,8 @@ def _parser() -> ArgumentParser:
         return added.add_argument
 
     add = command(track)
-    add(
-        "episode", type=Path, metavar="EPISODE", help="a recorded episode (.npz), a file of clouds, or a folder of them"
-    )
-    add(
-        "--out", type=_name(".npz", ".jsonl"), metavar="FILE", help="write the tracks (.npz, or .jsonl: a line a frame)"
-    )
+    add("episode", type=Path, metavar="EPISODE", help="an episode (.npz), a file of clouds, or a folder of them")
+    add("--out", type=_name(".npz", ".jsonl"), metavar="FILE", help="write the tracks (.jsonl: a line a frame)")
     add("--plot", type=_name(".png", ".svg", ".pdf"), metavar="FILE", help="draw the last frame and the lifetimes")
     add("--observed", action="store_true", help="track the observed sample of an episode instead of all its vertices")
     add("--alpha", type=float, metavar="M", help="sampling in metres (default: estimated)")
@@ -104,13 +101,7 @@ def _parser() -> ArgumentParser:
 
     add = command(generate)
     add("--out", type=Path, metavar="FOLDER", required=True, help="folder of the dataset, new or to go on with")
-    add(
-        "--episodes",
-        type=int,
-        metavar="N",
-        required=True,
-        help="number of episodes; a larger one than before adds some",
-    )
+    add("--episodes", type=int, metavar="N", required=True, help="number of episodes; a larger one adds some")
     add("--seed", type=int, metavar="N", help="seed of the dataset (default: 0)")
     add("--config", type=Path, metavar="FILE", help="a DatasetConfig (.json); missing fields have their defaults")
     add("--workers", type=int, metavar="N", help="number of processes or threads (default: one for each core)")
@@ -188,14 +179,15 @@ def track(
     if out is not None and out.resolve() == episode.resolve():
         raise ValueError(f"--out {out}: that is the episode itself")
     options = {**PAPER, **tracker} if paper else tracker
-    film = _read(episode, observed)
-    states = track_clouds(film.clouds, times=film.times, progress=sys.stderr.isatty(), **options)
+    recorded, clouds, times = _read(episode, observed)
+    states = track_clouds(clouds, times=times, progress=sys.stderr.isatty(), **options)
 
     # Compare the tracks with the true loops, where these are known.
     names = ["id", "first", "last", "frames", "lifetime"]
-    if film.loops:
+    loops = () if recorded is None else recorded.loops
+    if loops:
         names += ["true_loop", "distance", "in_hull"]
-    tracks = summarise_tracks(states, film.points, film.loops)
+    tracks = summarise_tracks(states, clouds if recorded is None else recorded.points, loops)
     rows = [{name: getattr(row, name) for name in names} for row in tracks]
 
     if out is not None and out.suffix == ".npz":
@@ -204,44 +196,30 @@ def track(
         with atomic_file(out) as file:
             file.writelines(f"{json.dumps(state.as_dict())}\n".encode() for state in states)
     if plot is not None:
-        _plot(plot, film, states)
-    answer = {"episode": str(episode), "frames": len(states), "out": _text(out), "plot": _text(plot), "tracks": rows}
-    n_empty = sum(len(cloud) == 0 for cloud in film.clouds)
+        _plot(plot, recorded, clouds[-1], states)
+    answer = {"episode": episode, "frames": len(states), "out": out, "plot": plot, "tracks": rows}
+    n_empty = sum(len(cloud) == 0 for cloud in clouds)
     return answer | {"empty frames": n_empty} if n_empty else answer
 
 
-@dataclasses.dataclass
-class _Film:
-    """Clouds that `track` reads, with the cloth behind them where they are of an episode."""
-
-    clouds: Sequence[NDArray[Any]] | NDArray[Any]
-    times: Sequence[float] | NDArray[Any]
-    points: NDArray[Any]  # (T, N, 3), N = 0 for clouds of which nothing else is known
-    faces: NDArray[Any] | tuple[()] = ()
-    loops: Sequence[NDArray[Any]] = ()
-    centre_line: NDArray[Any] | None = None
-
-
-def _read(path: Path, observed: bool) -> _Film:
-    """Return an episode, or the clouds of files, of which each is cleaned first."""
-    import numpy as np
-
+def _read(path: Path, observed: bool) -> tuple[Episode | None, Any, Any]:
+    """Return an episode with its clouds and their times, or None with the clouds of files, of which each is cleaned first."""
     from ._archive import is_archive
     from .io import load_episode
 
     if path.suffix == ".npz" and is_archive(path):
         episode = load_episode(path)
         clouds = episode.observed if observed else episode.points
-        return _Film(clouds, episode.times, episode.points, episode.faces, episode.loops, episode.centre_line)
+        return episode, clouds, episode.times
 
     from .sensors import Cleaner, read_clouds
 
     clean = Cleaner()
     times, frames = zip(*((time, clean(cloud)) for time, cloud in read_clouds(path)), strict=True)
-    return _Film(frames, times, np.empty((len(frames), 0, 3)))
+    return None, frames, times
 
 
-def _plot(path: Path, film: _Film, states: Sequence[TopologicalState]) -> None:
+def _plot(path: Path, episode: Episode | None, cloud: NDArray[Any], states: Sequence[TopologicalState]) -> None:
     """Draw the last frame with its loops, and the lifetimes over time."""
     from matplotlib.figure import Figure
 
@@ -250,24 +228,17 @@ def _plot(path: Path, film: _Film, states: Sequence[TopologicalState]) -> None:
 
     figure = Figure(figsize=(11, 5), dpi=120, layout="constrained")
     axes: Any = figure.add_subplot(1, 2, 1, projection="3d")
-    points = film.points[-1] if len(film.faces) else film.clouds[-1]
-    plot_cloth(points, film.faces, ax=axes, loops=states[-1].loops, centre_line=film.centre_line)
+    if episode is None:
+        plot_cloth(cloud, ax=axes, loops=states[-1].loops)
+    else:
+        line = episode.centre_line
+        plot_cloth(episode.points[-1], episode.faces, ax=axes, loops=states[-1].loops, centre_line=line)
     plot_tracks(states, figure.add_subplot(1, 2, 2))
     with atomic_file(path) as picture:
         figure.savefig(picture, format=path.suffix[1:])
 
 
-def _text(path: Path | None) -> str | None:
-    """Return a path for an answer."""
-    return None if path is None else str(path)
-
-
-def simulate(
-    out: Path,
-    task: str = "apron-hook",
-    randomise: bool = False,
-    **options: Any,
-) -> Answer:
+def simulate(out: Path, task: str = "apron-hook", randomise: bool = False, **options: Any) -> Answer:
     """Record an episode: a garment is carried to a target and let go there.
 
     The exit code is 1 when it does not hang.
@@ -280,7 +251,7 @@ def simulate(
     episode = run_simulation(task=task, randomisation=randomisation, **options)
     save_episode(out, episode)
     return {
-        "out": str(out),
+        "out": out,
         "task": episode.task,
         "frames": len(episode),
         "vertices": episode.points.shape[1],
@@ -319,8 +290,8 @@ def hang(
         "linked": ", ".join(result.linked),
         "frames": result.steps,
         "seconds_a_decision": result.seconds_a_decision,
-        "out": _text(out),
-        "film": _text(film),
+        "out": out,
+        "film": film,
     }
 
 
@@ -338,7 +309,7 @@ def generate(out: Path, episodes: int, seed: int = 0, config: Path | None = None
     progress = sys.stderr.isatty()
     dataset = generate_dataset(settings, out, episodes, seed, n_workers=workers, progress=progress)
     label_dataset(out, n_workers=workers, progress=progress)
-    return {"out": str(out), **dataset.counts, "checksum": dataset.checksum()}
+    return {"out": out, **dataset.counts, "checksum": dataset.checksum()}
 
 
 def train(config: Path, out: Path, **changes: Any) -> Answer:
@@ -380,4 +351,4 @@ def predict(checkpoint: Path, episode: Path, frame: int = 15) -> Answer:
             presence = float(forecast.presence[step - 1, slot].sigmoid())
             place = dict(zip("xyz", mixture.mean.tolist(), strict=True))
             rows.append({"frame": frame + step, "loop": slot, "presence": presence, **place})
-    return {"episode": str(episode), "frame": frame, "model": predictor.description["model"], "loops": rows}
+    return {"episode": episode, "frame": frame, "model": predictor.description["model"], "loops": rows}

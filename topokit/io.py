@@ -161,8 +161,6 @@ def load_episode(path: str | Path) -> Episode:
 
     Raises
     ------
-    FileNotFoundError
-        When there is no such file.
     ValueError
         When the file is empty, damaged, of another format or of another schema; the message names the reason.
     """
@@ -305,9 +303,8 @@ def states_of(
         frame = _Frame(np.asarray(points, dtype=np.float64))
         slots = np.flatnonzero(arrays["id"][number] >= 0).tolist()
         loops = tuple(_loop(arrays, (number, slot), frame) for slot in slots)
-        parameters = dict(
-            zip(("alpha", "beta", "epsilon", "dropped"), arrays["parameters"][number].tolist(), strict=True)
-        )
+        estimates = arrays["parameters"][number].tolist()
+        parameters = dict(zip(("alpha", "beta", "epsilon", "dropped"), estimates, strict=True))
         states.append(TopologicalState(number, float(time), loops, parameters))
     return states
 
@@ -382,8 +379,6 @@ def load_states(path: str | Path, clouds: Clouds) -> list[TopologicalState]:
 
     Raises
     ------
-    FileNotFoundError
-        When there is no such file.
     ValueError
         When the file is damaged, of another format or schema, or of other clouds; the message names the reason.
     """

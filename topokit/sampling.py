@@ -83,8 +83,6 @@ def _farthest(points: Array, tree: cKDTree, name: str, name_of_tree: str) -> flo
     """Return the largest distance from a point to its nearest one of a tree; the names are for errors."""
     if len(points) == 0 or tree.n == 0:
         raise ValueError(f"{name} and {name_of_tree} need at least one point each")
-    if points.shape[1] != tree.m:
-        raise ValueError(f"{name} has {points.shape[1]} dimensions, {name_of_tree} {tree.m}")
     return float(tree.query(points)[0].max())
 
 

@@ -20,7 +20,6 @@ from numpy.typing import ArrayLike, NDArray
 from scipy.interpolate import CubicSpline
 
 from topokit._geometry import angle, turned
-from topokit.linking import linking_numbers
 
 from ._arm import Arm, Array
 from ._servo import Servo, ServoOptions
@@ -272,16 +271,9 @@ class Planner(Servo):
         distance = np.linalg.norm(rim - over, axis=-1) + np.linalg.norm(over - above) + np.linalg.norm(above - seat)
         remaining = distance + self.options.turn_costs * aside
         left = np.linalg.norm(rim - (seat if linked else above), axis=-1)
-        guide = np.where(self._around(cycle, arm), left, remaining)
+        around = [[arm.holds(curve) for curve in frames] for frames in cycle]
+        guide = np.where(around, left, remaining)
         return guide if linked else guide + self.options.low_costs * low
-
-    def _around(self, cycle: Array, arm: Arm) -> Array:
-        """Return for cycles (C, F, L, 3) whether they wind around the target, (C, F)."""
-        try:
-            numbers, _ = linking_numbers(cycle.reshape(-1, *cycle.shape[2:]), arm.closed)
-        except ValueError:  # one of them touches the centre line
-            return np.zeros(cycle.shape[:2], bool)
-        return numbers.reshape(cycle.shape[:2]) != 0
 
 
 def _through(paths: Array) -> CubicSpline:

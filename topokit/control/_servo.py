@@ -146,7 +146,9 @@ class Servo:
 
     def act(self, observation: Mapping[str, Any]) -> NDArray[np.float32]:
         """Return the next action (7,): a share of `max_step` along each axis for both grippers; above 0.5 the last lets go."""
-        points, grippers, line = (np.array(observation[name], np.float64) for name in ("points", "grippers", "target"))
+        points = np.array(observation["points"], np.float64)
+        grippers = np.array(observation["grippers"], np.float64)
+        line = np.array(observation["target"], np.float64)
         arm = Arm.of(line)
         if arm is None:
             self.reason = "the target has no arm that runs sideways"

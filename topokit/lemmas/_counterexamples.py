@@ -9,7 +9,6 @@ import json
 from collections.abc import Mapping
 from dataclasses import dataclass
 from importlib import resources
-from types import MappingProxyType
 
 import numpy as np
 from numpy.typing import ArrayLike
@@ -71,7 +70,7 @@ def _read() -> Mapping[str, Counterexample]:
         instances[name] = Counterexample(
             entry["statement"], entry["story"], before, after, observed_before, observed_after, entry["refutes"]
         )
-    return MappingProxyType(instances)
+    return instances
 
 
 COUNTEREXAMPLES = _read()

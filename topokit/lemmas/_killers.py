@@ -179,8 +179,8 @@ def converse(
 
     Parameters
     ----------
-    before, observed_before, after, observed_after : array_like
-        S_t and S_t+1, both (n, d); O_t and O_t+1: (m,) ids of their points. Or a Step in the place of `before`.
+    before, observed_before, after, observed_after
+        As in `gates`.
     """
     step = as_step(before, observed_before, after, observed_after)
     alpha = step.alpha

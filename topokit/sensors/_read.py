@@ -64,8 +64,6 @@ def read_clouds(
     FormatError
         When a file is damaged, of another kind, or ambiguous. The message names the file, the problem and a remedy.
     """
-    if fps is not None:
-        positive(fps, "fps", zero=False)
     if scale is not None:
         positive(scale, "scale", zero=False)
     options = _Options(layout, scale, None if columns is None else tuple(columns), intrinsics)
@@ -149,7 +147,7 @@ def _seen_by_pixels(depth: Array, file: Path, options: _Options) -> Array:
     height, width = depth.shape
     if (lens.get("width", width), lens.get("height", height)) != (width, height):
         raise ValueError(f"its lens is of an image of {lens['width']} x {lens['height']}, not {width} x {height}")
-    x_focal, y_focal, x_centre, y_centre = (float(as_number(lens.get(name), name)) for name in ("fx", "fy", "cx", "cy"))
+    number = {name: float(as_number(lens.get(name), name)) for name in ("fx", "fy", "cx", "cy")}
 
     scale = options.scale
     if scale is None:
@@ -158,8 +156,8 @@ def _seen_by_pixels(depth: Array, file: Path, options: _Options) -> Array:
             raise ValueError(f"depth_scale is metres in a unit of the depth, not units in a metre: 1 / {scale:g}?")
     z = depth * scale
     rows, columns = np.indices(depth.shape)
-    x = z * (columns - x_centre) / x_focal
-    y = z * (rows - y_centre) / y_focal
+    x = z * (columns - number["cx"]) / number["fx"]
+    y = z * (rows - number["cy"]) / number["fy"]
     return np.stack([x, y, z], axis=-1).reshape(-1, 3)
 
 

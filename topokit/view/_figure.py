@@ -110,9 +110,6 @@ class HtmlFigure:
         style = f"width:100%;height:{self.height}px;border:0;display:block"
         return f'<iframe srcdoc="{source}" title="{title}" loading="lazy" allowfullscreen style="{style}"></iframe>'
 
-    def __repr__(self) -> str:
-        return f"{type(self).__name__}({self.title!r}, {len(self.page) / 1000:.0f} kB)"
-
     def save(self, path: str | Path) -> Path:
         """Write the figure as one HTML file that opens in any browser, and return its path."""
         with atomic_file(path) as file:
