@@ -287,7 +287,7 @@ class Experiment:
         best = self.train(network, how["films"], how["seed"], rate, first)
         for epochs in others:
             longer = self.train(network, how["films"], how["seed"], rate, epochs)
-            if longer.loss > best.loss * (1 - self.protocol["better"]):
+            if longer.loss > best.loss - self.protocol["better"] * abs(best.loss):  # that of a Motion may be below 0
                 break
             best = longer
         return best.epochs
