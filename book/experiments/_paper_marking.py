@@ -53,9 +53,7 @@ def marked_vertices(episode: Episode) -> tuple[Ids, ...]:
     sizes.pop("scale", None)
     garment = WARDROBE[episode.garment](**sizes)
     if not np.array_equal(garment.faces, episode.faces):
-        raise ValueError(
-            f"{episode.garment} of sizes {sizes} has other faces than the episode: it is of another version"
-        )
+        raise ValueError(f"{episode.garment}: its faces are not those of this version's wardrobe; make its films anew")
     pairs = zip_longest(loops, straps)
     return tuple(band(garment, loop, sizes[strap]) if strap else loop for loop, strap in pairs)
 

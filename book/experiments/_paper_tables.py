@@ -9,7 +9,7 @@ from typing import Any
 import pandas as pd
 from tables import bootstrap, interval, quotient
 
-# Each measure: the column of distances, and the largest that counts. Records made before paper_openings.json have others.
+# Each measure: the column of distances, and the largest that counts. Those of records of other protocols are of commit b5e40830.
 MEASURES = {
     "opening": ("opening_distance", 1e-9),  # metres outside the hull of the marked vertices
     "killer": ("killer_distance", 1.0),  # halves of the edge that ends the loop, from its middle
