@@ -23,7 +23,7 @@ from forecasts import Clouds, Condition, EvaluationConfig, evaluate_forecasts, t
 from tables import bootstrap, draw_episodes, interval
 from torch.utils.data import default_collate
 
-from topokit.data import Dataset, WindowDataset
+from topokit.data import Dataset, WindowDataset, label_dataset
 from topokit.evaluate import true_loops
 from topokit.io import load_episode
 from topokit.models import Scenes, build
@@ -214,6 +214,7 @@ def test_the_networks_of_the_openings_are_trained_tuned_and_asked(tmp_path):
     }
     (tmp_path / "little.json").write_text(json.dumps(protocol | small))
     shutil.copytree(DATA / "dataset", tmp_path / "films")
+    label_dataset(tmp_path / "films", "observed", n_points=128, n_workers=1, progress=False)
     arguments = ["--protocol", str(tmp_path / "little.json"), "--work", str(tmp_path)]
     arguments += ["--out", str(tmp_path / "paper.csv"), "--stages", "trainings", "forecasts", "table"]
     paper.main(arguments)
@@ -222,6 +223,9 @@ def test_the_networks_of_the_openings_are_trained_tuned_and_asked(tmp_path):
     ended = [paper.Trained.of(path.parent) for path in (tmp_path / "trainings").glob(f"*/{paper.SUMMARY}")]
     for network in protocol["networks"]:
         losses = {training.rate: training.loss for training in ended if training.network == network}
+        if network == "mlp_128_observed":  # at the rate of mlp_128
+            assert len(losses) == 1
+            continue
         best = min(losses, key=losses.get)
         row = protocol["rates"].index(best)
         assert {1e-3, *protocol["rates"][max(row - 1, 0) : row + 2]} <= losses.keys()

@@ -9,7 +9,7 @@ Questions, claims, measures, films, networks and their trainings are in the prot
 Each of the six stages leaves alone what is in the folder already, so the same command goes on after it was stopped:
 
 films      garments, to train and to validate with; on coarse meshes where the protocol has no other
-labels     their loops, tracked on all vertices
+labels     their loops, tracked on all vertices, or also on the points that a network sees
 trainings  rates of all networks, then lengths, then all seeds
 tests      films of other seeds and their loops, on the usual mesh and on the coarse one of the training films
 forecasts  of all windows by all forecasters, on validation films and on test films
@@ -139,6 +139,7 @@ class Experiment:
         """Return what the protocol says of a network; a checkpoint of data_small is a Motion."""
         of_all = {"films": self.protocol["training_films"], "seeds": self.protocol["seeds"], "held_out": ()}
         of_all |= {"frame": "room", "given": (), "options": {}, "loss": {}, "labels": False, "tested": True}
+        of_all["points"] = 0  # on which the loops to learn were tracked; 0 for all vertices
         return of_all | self.protocol["networks"].get(network, {"model": "motion"})
 
     def held_out(self, network: str) -> tuple[str, ...]:
@@ -169,6 +170,8 @@ class Experiment:
     def label_films(self) -> None:
         """Track the loops of all films."""
         label_dataset(self.folder / "films", n_workers=self.workers)
+        for points in {self.described(network)["points"] for network in self.networks} - {0}:
+            label_dataset(self.folder / "films", "observed", n_points=points, n_workers=self.workers)
 
     def make_tests(self) -> None:
         """Make the test films, and track their loops on all vertices and on the points that networks are shown."""
@@ -205,9 +208,10 @@ class Experiment:
             raise ValueError(f"{len(chosen)} labelled films to train on, and {films} are wanted: run films and labels")
         return chosen, known[known < first]
 
-    def windows_of(self, episodes: NDArray[np.int64]) -> WindowDataset:
-        """Return the windows of some films."""
-        return _windows(self.folder / "films", tuple(episodes.tolist()), self.shape.points)
+    def windows_of(self, episodes: NDArray[np.int64], tracked: int = 0) -> WindowDataset:
+        """Return the windows of some films, with loops that were tracked on so many points, or on all vertices."""
+        labels = f"observed-{tracked}" if tracked else "full"
+        return _windows(self.folder / "films", tuple(episodes.tolist()), self.shape.points, labels)
 
     def train(self, network: str, films: int, seed: int, rate: float, epochs: int) -> Trained:
         """Train a network, or go on with it, or return what it reached."""
@@ -230,7 +234,7 @@ class Experiment:
         if described["model"] in OF_POINTS:
             kind = LabelledScenes if described["labels"] else Scenes
             return kind(Dataset(self.folder / "films"), episodes.tolist())
-        return self.remedied(network, self.windows_of(episodes))
+        return self.remedied(network, self.windows_of(episodes, described["points"]))
 
     def remedied(self, network: str, windows: WindowDataset) -> Remedied:
         """Return windows with the remedies of a network."""
@@ -526,8 +530,8 @@ def save_samples(path: Path, samples: pd.DataFrame) -> None:
 
 
 @lru_cache(4)
-def _windows(folder: Path, episodes: tuple[int, ...], points: int) -> WindowDataset:
-    return WindowDataset(folder, episodes, n_points=points).load()
+def _windows(folder: Path, episodes: tuple[int, ...], points: int, labels: str) -> WindowDataset:
+    return WindowDataset(folder, episodes, n_points=points, labels=labels).load()
 
 
 def _checksum(folder: Path, episodes: NDArray[np.int64]) -> str:
