@@ -79,6 +79,7 @@ def test_every_edge_does_what_the_textbook_says():
     assert acts == {"joins", "begins", "kills", "void", "nothing"}
 
 
+ELIMINATING = [*LOOPS, "columns.js"]
 ELIMINATION = """([points, radius]) => {
   const { rows, columns, steps } = eliminate(points, radius), whole = (s) => (
     { ...s, column: s.column ? bits(s.column) : [], chain: bits(s.chain), pivot: s.column ? pivot(s.column) : null });
@@ -87,7 +88,7 @@ ELIMINATION = """([points, radius]) => {
 
 
 def test_elimination_reduces_as_the_library_does():
-    """The rows, columns, reduced columns, chains and pairs agree; each step adds the column with the same pivot."""
+    """The rows, columns, reduced columns, chains and pairs agree."""
     rng = np.random.default_rng(0)
     cases = [(np.array(SEVEN), radius) for radius in (4.0, 6.2, 99.0)]
     for n in rng.integers(1, 11, 60).tolist():
@@ -95,32 +96,53 @@ def test_elimination_reduces_as_the_library_does():
         cases.append((rng.integers(0, 4, (n, 2)).astype(float), float(rng.uniform(0.3, 3))))
     given = [(cloud.tolist(), radius) for cloud, radius in cases]
     additions = 0
-    for (cloud, radius), answer in zip(cases, by_script([*LOOPS, "columns.js"], ELIMINATION, given), strict=True):
+    for (cloud, radius), answer in zip(cases, by_script(ELIMINATING, ELIMINATION, given), strict=True):
         ours = reduction.reduce(reduction.filtration(cloud, 2, max_radius=radius))
         edges = [j for j, simplex in enumerate(ours.simplices) if len(simplex.vertices) == 2]
         triangles = [j for j, simplex in enumerate(ours.simplices) if len(simplex.vertices) == 3]
         assert answer["rows"] == [list(ours.simplices[j].vertices) for j in edges]
         assert answer["columns"] == [list(ours.simplices[j].vertices) for j in triangles]
-        final: dict[int, dict] = {}
-        before = None
-        for step in answer["steps"]:
-            if step["added"] >= 0:
-                other = final[step["added"]]
-                assert other["pivot"] == before["pivot"]
-                assert set(step["column"]) == set(before["column"]) ^ set(other["column"])
-                additions += 1
-            else:  # a new column: the three sides of its triangle
-                sides = {tuple(answer["rows"][row]) for row in step["column"]}
-                assert sides == set(combinations(answer["columns"][step["k"]], 2))
-            if step["next"] < 0:
-                final[step["k"]] = step
-            before = step
+        additions += sum(step["added"] >= 0 for step in answer["steps"])
+        final = {step["k"]: step for step in answer["steps"] if step["next"] < 0}
         for k, j in enumerate(triangles):
             assert {edges[row] for row in final[k]["column"]} == ours.columns[j]
             assert {triangles[t] for t in final[k]["chain"]} == ours.chains[j]
         pairs = {edges[step["pivot"]]: triangles[k] for k, step in final.items() if step["column"]}
         assert pairs == {birth: death for birth, death in ours.killer.items() if birth in edges}
     assert additions > 100
+
+
+BOUNDING = """([points, radius, cycle]) => {
+  const rows = eliminate(points, radius).rows.map((e) => e.i + "," + e.j);
+  return bounding(points, radius, cycle.map((ends) => rows.indexOf(ends.join())));
+}"""
+
+
+def sides_of(walks: list) -> set:
+    """Return the edges of closed walks, modulo 2."""
+    pairs = [tuple(sorted(map(int, ends))) for walk in walks for ends in zip(walk, np.roll(walk, 1), strict=True)]
+    return {pair for pair in pairs if pairs.count(pair) % 2}
+
+
+def test_a_cycle_goes_around_the_loops_of_which_it_is_a_sum():
+    rng = np.random.default_rng(4)
+    cases = []
+    for shift in rng.normal(0, 0.08, (40, 12, 2)):
+        cloud = np.vstack([polygon(6), polygon(6) + [2.3, 0]]) + shift
+        diagram = rips_persistence(cloud)
+        radius = float(rng.uniform(0.55, 0.9))
+        alive = np.flatnonzero((diagram.birth <= radius) & (radius < diagram.death))
+        around = [diagram.cycle(k) for k in alive[rng.random(len(alive)) < 0.6]]
+        near = cdist(cloud, cloud) <= 2 * radius
+        triangles = [ids for ids in combinations(range(12), 3) if near[np.ix_(ids, ids)].all()]
+        cycle = sides_of([*around, *(ids for ids in triangles if rng.random() < 0.3)])
+        cases.append((diagram, around, (cloud.tolist(), radius, sorted(cycle))))
+    given = [case[2] for case in cases]
+    for (diagram, around, case), answer in zip(cases, by_script(ELIMINATING, BOUNDING, given), strict=True):
+        found = [diagram.cycle(k) for k in answer["loops"]]
+        assert sides_of([*found, *around]) == set()
+        assert sides_of([*found, *answer["triangles"]]) == set(case[2])
+    assert {len(around) for _, around, _ in cases} == {0, 1, 2}
 
 
 # ---- matching and motion

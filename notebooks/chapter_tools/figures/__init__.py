@@ -5,6 +5,7 @@ from .garments import plans, wardrobe
 from .lune_plots import plot_lens, plot_lune
 from .pages import (
     belief,
+    chains,
     cloud,
     coverage,
     critical,
@@ -26,6 +27,7 @@ from .pages import (
 
 __all__ = [
     "belief",
+    "chains",
     "cloud",
     "coverage",
     "critical",

@@ -23,3 +23,23 @@ function eliminate(points, radius) {
   });
   return { rows, columns, steps };
 }
+
+// Whether a cycle bounds at a radius, and what it goes around. The cycle is a list of rows; the answer is the list of loops around
+// which it goes, by their places in rips(points).loops, and triangles: their boundary is the cycle, plus those loops' cycles.
+// Idea: reduced columns and the cycles of the living loops span all cycles, so the reduction of any cycle ends in nothing.
+function bounding(points, radius, cycle) {
+  const { rows, columns, steps } = eliminate(points, radius), owner = new Map(), one = (k) => 1n << BigInt(k);
+  const reduced = (column, chain = 0n, loops = 0n) => {
+    for (let other; column && (other = owner.get(pivot(column)));) [column, chain, loops] = [column ^ other.column, chain ^ other.chain, loops ^ other.loops];
+    return { column, chain, loops };
+  };
+  for (const { column, chain, next } of steps) if (column && next < 0) owner.set(pivot(column), { column, chain, loops: 0n });
+  rips(points).loops.forEach(({ birth, death, cycle: walk }, k) => {
+    if (radius < birth || radius >= death) return;
+    const ends = walk.map((v, at) => [v, walk[(at + 1) % walk.length]].sort((a, b) => a - b).join());
+    const rest = reduced(rows.reduce((sum, e, row) => (ends.includes(e.i + "," + e.j) ? sum | one(row) : sum), 0n), 0n, one(k));
+    owner.set(pivot(rest.column), rest);
+  });
+  const { chain, loops } = reduced(cycle.reduce((sum, row) => sum ^ one(row), 0n));
+  return { loops: bits(loops), triangles: bits(chain).map((t) => columns[t].ids) };
+}

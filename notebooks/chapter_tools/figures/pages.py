@@ -29,7 +29,7 @@ HERE = Path(__file__).parent
 MOST_POINTS = 60  # the scripts compute the loops of so many while a point is dragged
 MOST_THINNED = 600  # the script computes the loops of so many while a slider moves
 MOST_NUDGED = 24  # the script computes 121 clouds at every change
-MOST_REDUCED = 10  # their 120 triangles are columns that can still be told apart
+MOST_REDUCED = 12  # their triangles are columns that can still be told apart
 MOST_FRAMES = 16
 MOST_IN_SPACE = 160  # edges and triangles are drawn one by one
 MOST_DOTS = 120  # points of a film that are drawn
@@ -138,6 +138,28 @@ def pack_film(film: ArrayLike, max_radius: float | None = None) -> dict[str, Any
     }
 
 
+def chains(points: ArrayLike, *, start: float, max_radius: float, chain: Sequence[tuple[int, int]] = ()) -> HtmlFigure:
+    """Return an interactive figure in which the reader makes a chain of edges and asks whether it bounds.
+
+    The boundary of the chain is marked. The answer is a set of triangles that fill a cycle, or the loops around which it goes,
+    with the triangles between the cycle and theirs. A click on a triangle adds its boundary to the chain.
+
+    Parameters
+    ----------
+    points : (n, 2) array_like
+        At most 12 points.
+    start, max_radius : float
+        The radius shown first, and the end of the slider.
+    chain : sequence of (2,) tuple of int
+        The edges of the chain at first, each with the smaller vertex first.
+    """
+    cloud = planar(points, most=MOST_REDUCED)
+    edges = [list(edge) for edge in chain]
+    data = {"points": cloud.tolist(), "start": float(start), "end": float(max_radius), "chain": edges}
+    scripts = [*LOOPS, "planar.js", "places.js", "columns.js"]
+    return _figure("chains", data, scripts, 460, "click edges to make a chain", f"Chains of {len(cloud)} points")
+
+
 def elimination(points: ArrayLike, max_radius: float) -> HtmlFigure:
     """Return an interactive figure of the reduction of a planar cloud's boundary matrix, one sum of columns at a time.
 
@@ -148,7 +170,7 @@ def elimination(points: ArrayLike, max_radius: float) -> HtmlFigure:
     Parameters
     ----------
     points : (n, 2) array_like
-        At most 10 points. Radii, births and deaths are in their unit, and half the length of an edge.
+        At most 12 points. Radii, births and deaths are in their unit, and half the length of an edge.
     max_radius : float
         The radius of the last simplex.
     """
