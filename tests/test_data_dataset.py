@@ -192,7 +192,7 @@ def without_episodes(folder, n):
     dataset = Dataset(folder)
     dataset.episodes = np.arange(n)
     for i in range(n):
-        garment, _, target = config.draw(0, i).task.partition("-")
+        garment, _, target = config.draw(0, i)[0].partition("-")
         dataset._records[i] = Record(episode=i, status="ok", garment=garment, target=target)
     return dataset
 

@@ -161,18 +161,13 @@ def test_an_episode_elsewhere_is_the_same_moved():
 # The cloth of a configuration.
 
 
-def test_mass_is_area_times_density_and_what_is_given_stays():
+def test_mass_goes_with_the_area():
     sheet = WARDROBE["sheet"](holes=0, width=0.5, height=0.4, spacing=0.05)
-    config = SimulationConfig.of(sheet, density=0.3)
-    assert config.mass == pytest.approx(0.3 * 0.5 * 0.4)
+    config = SimulationConfig.of(sheet)
+    assert config.mass == pytest.approx(0.25 * 0.5 * 0.4)
     assert config.frame_time == pytest.approx(SimulationConfig().frame_time)
-    assert SimulationConfig.of(sheet, mass=0.7).mass == 0.7
     doubled = dataclasses.replace(sheet, vertices=2 * sheet.vertices)
-    assert SimulationConfig.of(doubled, density=0.3).mass == pytest.approx(4 * config.mass)
-    with pytest.raises(ValueError, match="mass"):
-        SimulationConfig.of(sheet, density=0.0)
-    with pytest.raises(ValueError, match="thickness"):
-        SimulationConfig.of(sheet, thickness=1.0)
+    assert SimulationConfig.of(doubled).mass == pytest.approx(4 * config.mass)
 
 
 def stretched(garment: Garment, config: SimulationConfig) -> float:

@@ -99,15 +99,7 @@ class Labels(NumberedFiles):
 
 
 class Dataset(NumberedFiles):
-    """A dataset that `generate_dataset` made in a folder; iteration gives its episodes, in order, to within 0.05 mm.
-
-    Raises
-    ------
-    FileNotFoundError
-        When there is no dataset in the folder.
-    ValueError
-        When the file of its settings (`dataset.json`) is damaged.
-    """
+    """A dataset that `generate_dataset` made in a folder; iteration gives its episodes, in order, to within 0.05 mm."""
 
     def __init__(self, folder: str | Path) -> None:
         if not (Path(folder).expanduser() / ABOUT).is_file():
@@ -142,15 +134,7 @@ class Dataset(NumberedFiles):
         return (self[number] for number in self.episodes.tolist())
 
     def record(self, episode: int) -> Record:
-        """Return the summary of an episode, read from the header of its file at the first use.
-
-        Raises
-        ------
-        KeyError
-            When the episode was not tried.
-        FormatError
-            When its file is damaged.
-        """
+        """Return the summary of an episode, read from the header of its file; raise KeyError when it was not tried."""
         if episode not in self._records:
             path = self.path_of(episode)
             header = json.loads(path.read_bytes()) if path.suffix == ".json" else load_header(path, EPISODE_KIND)
@@ -180,13 +164,7 @@ class Dataset(NumberedFiles):
         return tuple(sorted(path.parent.name for path in self.folder.glob(f"labels/*/{ABOUT_LABELS}")))
 
     def labels(self, name: str) -> Labels:
-        """Return a set of labels: its `options` of the tracker, its `records` and its arrays.
-
-        Raises
-        ------
-        FileNotFoundError
-            When there are no labels of that name.
-        """
+        """Return a set of labels: its arrays, and its `options` of the tracker."""
         if name not in self._labels:
             if name not in self.label_names:
                 known = ", ".join(self.label_names) or "none: topokit.data.label_dataset makes them"
@@ -228,11 +206,6 @@ class Dataset(NumberedFiles):
         seed : int
         held_out : sequence of str
             Garments of the last part alone, for example ``["apron", "apron2"]``, which are alike.
-
-        Raises
-        ------
-        ValueError
-            When a share is not positive, or a garment is unknown.
         """
         shares = shares or {"train": 0.8, "validation": 0.1, "test": 0.1}
         names = sorted(shares, key=lambda name: ({"train": -1, "test": 1}.get(name, 0), name))

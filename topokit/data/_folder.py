@@ -14,7 +14,6 @@ from __future__ import annotations
 import hashlib
 import json
 import platform
-import time
 import zlib
 from collections.abc import Mapping
 from importlib.metadata import version
@@ -81,14 +80,6 @@ def begin(folder: Path, about: str, settings: Mapping[str, Any]) -> None:
         if settings.get("episodes", 0) < old.get("episodes", 0):
             raise ValueError(f"{folder} has {old['episodes']} episodes; it cannot shrink to {settings['episodes']}")
     write_json(path, settings)
-    remove_parts(folder)
-
-
-def remove_parts(folder: Path) -> None:
-    """Remove the files that killed processes left half written; a file of the last hour may be another command's."""
-    for left in folder.glob(".*.part"):
-        if time.time() - left.stat().st_mtime > 3600:
-            left.unlink()
 
 
 def _refuse_other(old: Any, new: Any, folder: str, name: str = "") -> None:

@@ -30,12 +30,12 @@ def generate_dataset(
     seed: int,
     *,
     n_workers: int | None = None,
-    time_limit: float = 600.0,
     progress: bool = True,
 ) -> Dataset:
     """Make the dataset of a configuration and a seed in a folder, or go on with one that was begun.
 
     The bytes of an episode do not depend on how many workers there are, in which order they work, or how often they were stopped.
+    A folder that was begun with another configuration, seed or version is refused.
 
     Parameters
     ----------
@@ -48,19 +48,8 @@ def generate_dataset(
         Seed of the dataset, from which the seeds of the episodes are drawn.
     n_workers : int, optional
         Number of processes on this machine; one for each core when not given.
-    time_limit : float
-        Seconds after which the simulation of an episode is stopped and tried again.
     progress : bool
         Show a progress bar with the time left on stderr.
-
-    Raises
-    ------
-    ValueError
-        When the folder was begun with another configuration, seed or version; the message names the difference.
-    FileNotFoundError
-        When the file of a mesh does not exist.
-    ImportError
-        When PyBullet is not installed.
     """
     from tqdm import tqdm
 
@@ -82,7 +71,7 @@ def generate_dataset(
     missing = Dataset(folder).missing([*range(episodes)])
     work = partial(_make_file, folder)
     workers = n_cores() if n_workers is None else n_workers
-    outcomes = in_fresh_processes(work, missing, n_workers=workers, time_limit=time_limit, tries=3)
+    outcomes = in_fresh_processes(work, missing, n_workers=workers, time_limit=600, tries=3)
     try:
         for number, outcome in tqdm(outcomes, total=len(missing), unit="episode", disable=not progress):
             if isinstance(outcome, ProcessError):

@@ -32,7 +32,8 @@ def label_dataset(
     """Track every episode of a dataset and store the states, or go on with it; return the set of labels.
 
     In every frame the eight loops of the longest lifetime are kept. The number of dropped loops is stored too. The labels have
-    the name of the observation, and of the number of points where one is given: "full", "observed-128".
+    the name of the observation, and of the number of points where one is given: "full", "observed-128". Labels of that name that
+    were begun with other options are refused.
 
     Parameters
     ----------
@@ -48,13 +49,6 @@ def label_dataset(
         Number of threads; one for each core when not given.
     progress : bool
         Show a progress bar with the time left on stderr.
-
-    Raises
-    ------
-    ValueError
-        When there is no such observation, or labels of that name were begun with other options.
-    FileNotFoundError
-        When there is no such dataset.
     """
     from tqdm import tqdm
 

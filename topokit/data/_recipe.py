@@ -10,7 +10,7 @@ import functools
 import json
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import field
-from typing import Annotated, Any, NamedTuple
+from typing import Annotated, Any
 
 import numpy as np
 from pydantic import Field
@@ -33,25 +33,14 @@ from topokit.sim import (
 Target = Hook | Hanger | Mannequin
 
 
-class Draw(NamedTuple):
-    """The task and the seed of an episode."""
-
-    task: str
-    seed: int  # seed of the episode, 63 bits
-
-
 @checked
 class DatasetConfig:
     """The configuration of a dataset: the random draws of its episodes, their simulation and their observation.
 
     A mesh of one's own has the physics of `topokit.sim.SimulationConfig.of`. Numbers of `simulation` that differ from
     the default replace them. Its time step is the smaller of the two, and its frame time is given by `simulation`. The ranges
-    of `randomisation` are then factors: a mass twice as large as in `simulation` is drawn from twice the range.
-
-    Raises
-    ------
-    ValueError
-        When a task or a garment is unknown, or a value is not allowed; the message names it.
+    of `randomisation` are then factors: a mass twice as large as in `simulation` is drawn from twice the range. A ValueError
+    names a task or a garment that is unknown, or a value that is not allowed.
     """
 
     #: Names in `topokit.sim.TASKS` (a garment and a target) with the weights at which they are drawn.
@@ -77,12 +66,12 @@ class DatasetConfig:
     #: a mannequin's garment, which must fit, vary by half as much.
     vary: Annotated[float, Field(ge=0, le=1)] = 0.0
     #: Meshes of one's own by their names, which `tasks` may then name, each with the options of `Garment.from_mesh`:
-    #: ``{"bag": {"file": "bag.obj", "up": "z", "size": 0.6, "grips": [3, 9]}}`` allows "bag-hook", "bag-hanger" and
-    #: "bag-mannequin". `vary` scales a mesh as a whole.
+    #: ``{"bag": {"file": "bag.obj", "up": "z", "size": 0.6, "grips": [3, 9]}}`` allows "bag-hook" and "bag-hanger". Sizes of
+    #: a mesh do not vary, but for the `scale` of `randomisation`.
     meshes: Mapping[str, Mapping[str, Any]] = field(default_factory=dict)
 
     def __post_init__(self) -> None:
-        known = [*TASKS, *(f"{mesh}-{target}" for mesh in self.meshes for target in ("hook", "hanger", "mannequin"))]
+        known = [*TASKS, *(f"{mesh}-{target}" for mesh in self.meshes for target in ("hook", "hanger"))]
         unknown = [name for name in self.tasks if name not in known]
         if unknown:
             raise ValueError(f"tasks: there is no {', '.join(map(repr, unknown))}; there are {', '.join(known)}")
@@ -96,7 +85,6 @@ class DatasetConfig:
             raise ValueError("depth_noise needs cameras, and cameras is 0")
         # Sorted: the draws must not depend on the order of the tasks.
         object.__setattr__(self, "tasks", dict(sorted(self.tasks.items())))
-        object.__setattr__(self, "sizes", {name: dict(sorted(sizes.items())) for name, sizes in self.sizes.items()})
 
     def to_json(self) -> dict[str, Any]:
         """Return plain numbers, lists and dictionaries; `from_json` gives the same configuration back."""
@@ -108,8 +96,8 @@ class DatasetConfig:
         """Return the configuration of a dictionary from `to_json`; missing fields get their defaults."""
         return from_mapping(cls, values, "the configuration")
 
-    def draw(self, seed: int, index: int) -> Draw:
-        """Return task and seed of an episode.
+    def draw(self, seed: int, index: int) -> tuple[str, int]:
+        """Return the task and the seed (63 bits) of an episode.
 
         Parameters
         ----------
@@ -117,9 +105,10 @@ class DatasetConfig:
             As in `make_episode`.
         """
         rng = np.random.default_rng(np.random.SeedSequence(seed, spawn_key=(index,)))
-        names, weights = list(self.tasks), np.cumsum(list(self.tasks.values()))
+        names = list(self.tasks)
+        weights = np.cumsum(list(self.tasks.values()))
         place = min(int(np.searchsorted(weights, rng.random() * weights[-1], side="right")), len(names) - 1)
-        return Draw(names[place], int(rng.integers(2**63)))
+        return names[place], int(rng.integers(2**63))
 
     def garment(self, task: str) -> Garment:
         """Return the garment of a task in its size in this configuration; a mesh is read from its file."""
@@ -131,9 +120,10 @@ class DatasetConfig:
 
 
 def task_of(config: DatasetConfig, name: str, garment: Garment) -> Task:
+    """Return a task by its name; that of a mesh of one's own is made for its garment."""
     mesh, _, target = name.rpartition("-")
     if mesh in config.meshes:
-        return Task.of(garment, {"hook": Hook, "hanger": Hanger, "mannequin": Mannequin}[target]())
+        return Task.of(garment, Hook() if target == "hook" else Hanger())
     return TASKS[name]
 
 
@@ -175,9 +165,7 @@ def _scene(config: DatasetConfig, name: str, seed: int) -> tuple[Task, Garment, 
         vary = config.vary / 2 if isinstance(target, Mannequin) else config.vary
         scale = config.randomisation.scale if config.randomisation is not None else None
         longest = float(target.seat[2]) / (scale[1] if scale else 1.0)
-        if garment.name in config.meshes:
-            garment = _scaled(garment, vary, longest, rng)
-        else:
+        if garment.name not in config.meshes:
             make = functools.partial(task.garment, **config.sizes.get(garment.name, {}))
             garment = varied_garment(make, garment, vary, rng, longest)
 
@@ -236,14 +224,6 @@ def _drawn_sizes(sizes: Mapping[str, float], vary: float, rng: np.random.Generat
 
 def _extent(garment: Garment) -> list[int]:
     return [len(garment.vertices), len(garment.faces), *map(len, garment.loops)]
-
-
-def _scaled(garment: Garment, vary: float, longest: float, rng: np.random.Generator) -> Garment:
-    """Return the garment scaled as a whole; it does not exceed the largest size, unless it already does."""
-    most = min(1 + vary, max(1.0, longest / max(garment.length, 1e-9)))
-    factor = float(np.exp(rng.uniform(-np.log1p(vary), np.log(most))))
-    parameters = {**garment.parameters, "varied": factor}
-    return dataclasses.replace(garment, vertices=factor * garment.vertices, parameters=parameters)
 
 
 def make_episode(config: DatasetConfig, seed: int, index: int, *, time_limit: float | None = 600.0) -> Episode:

@@ -90,13 +90,6 @@ class WindowDataset(torch.utils.data.Dataset[dict[str, torch.Tensor]]):
         Function that replaces the clouds of an episode: from its number and its clouds, (T, P, 3) float64, to clouds
         (T, P', 3), in metres. All states, past and future, are then tracked by seqPH on the new clouds, from the first
         frame on, as for labels. The labels then only determine the list of episodes.
-
-    Raises
-    ------
-    ValueError
-        When a number is not a whole one above 0, or the labels are missing.
-    FileNotFoundError
-        When there is no such dataset.
     """
 
     def __init__(

@@ -252,19 +252,16 @@ def tote(
     width: float = 0.36,
     height: float = 0.38,
     depth: float = 0.10,
-    handle_length: float | None = None,
+    handle_length: float = 0.72,
     handle_width: float = 0.052,
     handle_span: float = 0.20,
 ) -> Garment:
     """Return a bag open at its top, whose panels bulge to `depth`, with one handle or two, and as many classes of loops.
 
     One handle runs over the top from side to side; of two, each stands on its own panel, `handle_span` between the middles of
-    its ends. A true loop is the border of the opening under a handle. When `handle_length` is not given, one handle is 0.72 m
-    long, and each of two 0.50 m.
+    its ends. A true loop is the border of the opening under a handle.
     """
     demand(handles in (1, 2), "handles must be 1 or 2")
-    if handle_length is None:
-        handle_length = 0.72 if handles == 1 else 0.50
     sizes = _sizes(locals(), "handles", *(("handle_span",) if handles == 1 else ()))
     if handles == 1:
         vertices, faces, (handle, *_), grips = _bag(sizes, [])
@@ -466,7 +463,7 @@ WARDROBE: Mapping[str, Callable[..., Garment]] = {
     "apron": apron,
     "apron2": functools.partial(apron, loops=2),
     "tote": tote,
-    "tote2": functools.partial(tote, handles=2),
+    "tote2": functools.partial(tote, handles=2, handle_length=0.50),
     "backpack": backpack,
     "shirt": shirt,
     "vest": vest,

@@ -72,43 +72,28 @@ class SimulationConfig:
         return self.dt * self.steps_per_frame
 
     @classmethod
-    def of(
-        cls, garment: Garment, *, density: float = 0.25, bending: float = 0.0003, damping: float = 350.0, **options: Any
-    ) -> SimulationConfig:
-        """Return the physics of a garment of any size and resolution: it weighs by its area.
+    def of(cls, garment: Garment) -> SimulationConfig:
+        """Return the physics of a garment of any size and resolution: it weighs 250 g a square metre.
 
         Idea: with springs of stiffness k = s m / (N dt^2) the mass m cancels in the strain: a strap that carries the garment
         stretches by about g dt^2 S / (s L^2), where S is the garment's size and L the length of its edges. Small or fine meshes
         are like rubber where the clock is too slow for them. So dt goes with L / sqrt(S).
-
-        Parameters
-        ----------
-        garment : Garment
-        density : float
-            Mass per area, kg/m^2.
-        bending : float
-            Bending stiffness as a share of the elastic one, at 750 steps a second.
-        damping : float
-            Damping of the springs per mass of a vertex, 1/s.
-        **options
-            Other fields, and fields that replace the computed ones.
         """
         area = garment.area
-        mass = density * area
+        mass = 0.25 * area
         shortest = float(garment.edge_lengths.min())
         usual = float(np.median(garment.edge_lengths))
         # Steps of a frame go with sqrt(S) / L, about as for the garments of the wardrobe; sqrt(S) is area**0.25. With fewer than
         # 27 of them straps tunnel, and more than 81 take long.
         steps = min(max(math.ceil(area**0.25 / usual), 27), 81)
-        physics = {
-            "dt": 0.036 / steps,  # a frame takes 36 ms
-            "steps_per_frame": steps,
-            "mass": mass,
-            "bending": bending * (27 / steps) ** 2,  # the same acceleration at any clock
-            "damping": damping * mass / len(garment.vertices),
-            "margin": min(0.3, 0.18 * usual / shortest),  # at most 0.3 of the shortest edge, and 0.18 of the median one
-        }
-        return cls(**physics | options)
+        return cls(
+            dt=0.036 / steps,  # a frame takes 36 ms
+            steps_per_frame=steps,
+            mass=mass,
+            bending=0.0003 * (27 / steps) ** 2,  # the same acceleration at any clock
+            damping=350 * mass / len(garment.vertices),
+            margin=min(0.3, 0.18 * usual / shortest),  # at most 0.3 of the shortest edge, and 0.18 of the median one
+        )
 
     def elastic_stiffness(self, n_vertices: int) -> float:
         """Return the stiffness of the springs, N/m, of a garment with this number of vertices."""
