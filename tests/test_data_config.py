@@ -51,7 +51,7 @@ def test_json_gives_the_configuration_back(config):
         ({"simulation": {"dt": -1}}, "simulation.dt"),
         ({"randomisation": {"luck": 1}}, "there is no 'randomisation.luck'"),
         (BAG | {"tasks": {"sack-hook": 1}}, "no 'sack-hook'; there are apron-hook"),
-        (BAG | {"tasks": {"bag-moon": 1}}, "bag-hook, bag-hanger, bag-mannequin"),
+        (BAG | {"tasks": {"bag-moon": 1}}, "bag-hook, bag-hanger"),
         (BAG | {"sizes": {"bag": {"spacing": 0.1}}}, "no garment 'bag' of the wardrobe"),
         ({"off_script": 2}, "off_script"),
     ],
@@ -66,8 +66,8 @@ def test_draws_are_pure_and_do_not_depend_on_the_order_of_tasks():
     one, other = DatasetConfig(tasks=dict.fromkeys(names, 1)), DatasetConfig(tasks=dict.fromkeys(names[::-1], 1))
     draws = [one.draw(3, i) for i in range(200)]
     assert draws == [other.draw(3, i) for i in reversed(range(200))][::-1]
-    assert len({d.seed for d in draws}) == 200
-    assert all(0 <= d.seed < 2**63 for d in draws)
+    assert len({seed for _, seed in draws}) == 200
+    assert all(0 <= seed < 2**63 for _, seed in draws)
     assert draws != [one.draw(4, i) for i in range(200)]
 
 

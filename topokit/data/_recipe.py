@@ -8,11 +8,12 @@ from __future__ import annotations
 import dataclasses
 import functools
 import json
-from collections.abc import Callable, Iterator, Mapping, Sequence
+from collections.abc import Callable, Iterator, Mapping
 from dataclasses import field
 from typing import Annotated, Any
 
 import numpy as np
+from numpy.typing import NDArray
 from pydantic import Field
 
 from topokit._config import Count, Positive, checked, from_mapping
@@ -226,6 +227,16 @@ def _extent(garment: Garment) -> list[int]:
     return [len(garment.vertices), len(garment.faces), *map(len, garment.loops)]
 
 
+def _cameras(config: DatasetConfig, seat: NDArray[np.float64]) -> list[Camera]:
+    """Return the cameras, evenly around the seat of a target and 20 degrees above it, the first from in front of it (-y)."""
+    n = config.cameras
+    azimuth = 2 * np.pi * np.arange(n) / n - np.pi / 2
+    level = np.cos(np.radians(20))
+    rise = np.full(n, np.sin(np.radians(20)))
+    eyes = seat + config.camera_distance * np.column_stack([level * np.cos(azimuth), level * np.sin(azimuth), rise])
+    return [Camera(tuple(eye), tuple(seat.tolist()), noise=float(config.depth_noise)) for eye in eyes.tolist()]
+
+
 def make_episode(config: DatasetConfig, seed: int, index: int, *, time_limit: float | None = 600.0) -> Episode:
     """Simulate episode `index` of the dataset of that configuration and seed: a pure function of the three.
 
@@ -240,12 +251,6 @@ def make_episode(config: DatasetConfig, seed: int, index: int, *, time_limit: fl
     name, episode_seed = config.draw(seed, index)
     task, garment, target = _scene(config, name, episode_seed)
     physics, ranges = _physics(config, garment)
-    cameras: Sequence[Camera] = ()
-    n_observed = min(config.n_observed, len(garment.vertices))
-    if config.cameras:
-        noise = float(config.depth_noise)
-        cameras = Camera.around(target.seat, config.cameras, distance=config.camera_distance, noise=noise)
-        n_observed = config.n_observed
     return simulate(
         garment,
         target,
@@ -253,7 +258,7 @@ def make_episode(config: DatasetConfig, seed: int, index: int, *, time_limit: fl
         seed=episode_seed,
         config=physics,
         randomisation=ranges,
-        cameras=cameras,
-        n_observed=n_observed,
+        cameras=_cameras(config, target.seat),
+        n_observed=config.n_observed if config.cameras else min(config.n_observed, len(garment.vertices)),
         time_limit=time_limit,
     )

@@ -6,7 +6,7 @@ Source: Antonova et al. 2021, section 5 (h = 16, k = 60). Taught in chapter 11.
 from __future__ import annotations
 
 import copy
-from collections.abc import Callable, Iterable, Sequence
+from collections.abc import Callable, Iterable
 from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any
@@ -37,9 +37,7 @@ class _Film:
     ids: NDArray[np.int32]  # (T, S') identities of the tracked loops, -1 where there is none
     lifetimes: Array  # (T, S')
     states: dict[str, NDArray[Any]]  # of the loops, (T, S' + 1, ...) each, 0 in the last slot
-    places: dict[int, NDArray[np.int64]] = field(
-        default_factory=dict
-    )  # of loops, by frame, in windows asked for before
+    places: dict[int, NDArray[np.int64]] = field(default_factory=dict)  # of loops, by frame; filled when asked for
 
 
 class WindowDataset(torch.utils.data.Dataset[dict[str, torch.Tensor]]):
@@ -141,18 +139,11 @@ class WindowDataset(torch.utils.data.Dataset[dict[str, torch.Tensor]]):
 
     def __getitem__(self, i: int) -> dict[str, torch.Tensor]:
         """Return window `i` as a dict of tensors."""
-        return self.__getitems__([i])[0]
-
-    def __getitems__(self, rows: Sequence[int]) -> list[dict[str, torch.Tensor]]:
-        """Return several windows. A DataLoader asks for a batch by this: it is computed in one piece, which is quicker."""
-        windows = [self._window(*self.index[i].tolist()) for i in rows]
-        tensors = {}
-        for name in windows[0]:
-            part = np.stack([window[name] for window in windows])
-            if part.dtype.kind == "i" and part.ndim > 1:  # places
-                part = part.astype(np.float32) * np.float32(1 / TICKS)
-            tensors[name] = torch.from_numpy(part).unbind()
-        return [{name: values[i] for name, values in tensors.items()} for i in range(len(windows))]
+        window = self._window(*self.index[i].tolist())
+        for name, part in window.items():
+            if part.dtype.kind == "i" and part.ndim:  # places
+                window[name] = part.astype(np.float32) * np.float32(1 / TICKS)
+        return {name: torch.from_numpy(part) for name, part in window.items()}
 
     def _window(self, number: int, frame: int) -> dict[str, NDArray[Any]]:
         """Return the parts of a window, places in units of 0.1 mm."""

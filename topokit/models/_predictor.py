@@ -72,11 +72,6 @@ class Predictor:
             Whether the grippers hold the garment.
         target : (L, 3) array_like, optional
             Centre line of the target, from the floor to its tip, for a `MotionPredictor`; the last one when not given.
-
-        Raises
-        ------
-        ValueError
-            When an array is not one of points, or the model needs the grippers.
         """
         cloud = as_points(points)
         if self.model.tracked:

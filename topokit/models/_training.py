@@ -51,11 +51,6 @@ def train(
         checksum, identifies where they are from.
     progress : bool
         Show a bar on stderr.
-
-    Raises
-    ------
-    ValueError
-        When there are too few windows, `out` holds another training, or the loss is not finite any more.
     """
     windows = config.open_windows() if windows is None else Windows(*windows)
     n_train = len(windows.train)
@@ -138,9 +133,7 @@ class _Training:
             "epochs": progress.epoch,
             "steps": progress.step,
             "seconds": round(progress.seconds, 1),
-            "windows_per_second": round(progress.step * config.batch / progress.seconds, 1)
-            if progress.seconds
-            else None,
+            "windows_per_second": round(progress.step * config.batch / max(progress.seconds, 1e-9), 1),
         }
 
     def _train_epoch(self) -> dict[str, float]:

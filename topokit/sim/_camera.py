@@ -81,25 +81,3 @@ class Camera:
         y = (1 - 2 * (rows + 1) / self.height) * half
         rays = np.column_stack([x, y, np.ones(len(x))]) * metres[rows, columns][:, None]
         return np.asarray(self.eye + rays @ self.axes)
-
-    @staticmethod
-    def around(
-        place: ArrayLike = (0.0, 0.1, 1.0), n: int = 3, *, distance: float = 1.6, noise: float = 0.0
-    ) -> tuple[Camera, ...]:
-        """Return `n` cameras evenly around a place, all looking at it from 20 degrees above, the first from in front of it (-y).
-
-        Parameters
-        ----------
-        place : (3,) array_like
-        n : int
-        distance : float
-            Distance of the cameras from the place, metres.
-        noise : float
-            The noise of every camera.
-        """
-        azimuth = 2 * np.pi * np.arange(n) / n - np.pi / 2
-        level = np.cos(np.radians(20))
-        rise = np.full(n, np.sin(np.radians(20)))
-        middle = np.asarray(place, dtype=np.float64)
-        eyes = middle + distance * np.column_stack([level * np.cos(azimuth), level * np.sin(azimuth), rise])
-        return tuple(Camera(tuple(eye), tuple(middle.tolist()), noise=noise) for eye in eyes.tolist())

@@ -64,7 +64,8 @@ def simulate(
 ) -> Episode:
     """Simulate one episode and return it: a garment hangs between two grippers, is carried to a target, and is let go there.
 
-    The episode is a success when, after the release, the loops of the task are on the target and the garment is at rest.
+    The episode is a success when, after the release, the loops of the task are on the target and the garment is at rest. A
+    `SimulationError` says that the cloth exploded or was over-stretched, or that the simulator crashed or was stopped.
 
     Parameters
     ----------
@@ -85,13 +86,6 @@ def simulate(
     time_limit : float, optional
         Seconds that the simulation may take in a fresh process; the same call then gives the same bytes anywhere in a program.
         With None it runs in this process, and only its first simulation gives these bytes.
-
-    Raises
-    ------
-    SimulationError
-        When the cloth explodes or is over-stretched, or the simulator crashes or is stopped.
-    ValueError
-        When `task` is not known or asks for loops that the garment does not have, or no camera sees any cloth in some frame.
     """
     task, garment, target = resolved(task, garment, target)
     config = config or usual_config(garment)

@@ -100,13 +100,6 @@ class Garment:
             loops of `find_loops` ("loop 2"). "auto" takes all of these.
         name : str, optional
             The name of the file when not given.
-
-        Raises
-        ------
-        TypeError
-            When `size` and `unit` are missing.
-        ValueError
-            When the mesh is no garment, or a loop is no closed cycle along its edges.
         """
         surface = Surface(mesh)
         scale = unit if size is None else size / float(np.ptp(surface.vertices[surface.used], axis=0).max())
