@@ -89,7 +89,7 @@ def own(mesh, **values):
 
 def test_a_mesh_weighs_by_its_area_and_ranges_are_factors(bag):
     config = own(bag)
-    garment = config.garment("bag-hook")
+    garment = config.task("bag-hook").garment()
     cloth, usual = SimulationConfig.of(garment), SimulationConfig()
     physics, ranges = _physics(config, garment)
     assert physics.mass == cloth.mass != usual.mass
@@ -105,12 +105,12 @@ def test_a_mesh_weighs_by_its_area_and_ranges_are_factors(bag):
     assert (ranges.mass, ranges.bending) == (Randomisation().mass, None)
     assert _physics(own(bag, randomisation=None), garment)[1] is None
     sheet = DatasetConfig(tasks={"sheet-hook": 1})
-    assert _physics(sheet, sheet.garment("sheet-hook")) == (sheet.simulation, sheet.randomisation)
+    assert _physics(sheet, sheet.task("sheet-hook").garment()) == (sheet.simulation, sheet.randomisation)
 
 
 def test_a_mesh_keeps_its_size_when_the_target_varies(bag):
     config = own(bag, vary=0.5)
     scenes = [_scene(config, "bag-hook", seed) for seed in range(3)]
     for _, garment, _target in scenes:
-        np.testing.assert_array_equal(garment.vertices, config.garment("bag-hook").vertices)
+        np.testing.assert_array_equal(garment.vertices, config.task("bag-hook").garment().vertices)
     assert len({target.height for *_, target in scenes}) == 3

@@ -36,7 +36,7 @@ def test_the_bib_is_read_in_the_size_that_the_films_have(tmp_path, monkeypatch):
     exec(piece("lines.append"), {})
     exec(piece("from_mesh"), {})
     films = from_mapping(DatasetConfig, FILES[0], "bib.json")
-    garment = films.garment("bib-hook")
+    garment = films.task("bib-hook").garment()
     assert garment.loop_names == ("neck",)
     assert np.ptp(garment.vertices, axis=0).max() == pytest.approx(16 * 0.0254)
     neck = garment.vertices[garment.loops[0]]

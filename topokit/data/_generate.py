@@ -20,7 +20,7 @@ from topokit.sim import SimulationError
 
 from ._dataset import ABOUT, Dataset, DatasetSettings
 from ._folder import archive_path, begin, versions_of, write_json
-from ._recipe import DatasetConfig, make_episode, task_of
+from ._recipe import DatasetConfig, make_episode
 
 
 def generate_dataset(
@@ -58,7 +58,7 @@ def generate_dataset(
     # Read meshes of one's own before anything is written.
     for task in config.tasks:
         if task.rpartition("-")[0] in config.meshes:
-            task_of(config, task, config.garment(task))
+            config.task(task)
 
     # Begin the folder, or check that it was begun with the same configuration, seed and versions.
     folder = Path(out).expanduser()

@@ -111,21 +111,15 @@ class DatasetConfig:
         place = min(int(np.searchsorted(weights, rng.random() * weights[-1], side="right")), len(names) - 1)
         return names[place], int(rng.integers(2**63))
 
-    def garment(self, task: str) -> Garment:
-        """Return the garment of a task in its size in this configuration; a mesh is read from its file."""
-        name = task.rpartition("-")[0]
-        if name in self.meshes:
-            options = dict(self.meshes[name])
-            return Garment.from_mesh(options.pop("file"), **options, name=name)
-        return TASKS[task].garment(**self.sizes.get(name, {}))
-
-
-def task_of(config: DatasetConfig, name: str, garment: Garment) -> Task:
-    """Return a task by its name; that of a mesh of one's own is made for its garment."""
-    mesh, _, target = name.rpartition("-")
-    if mesh in config.meshes:
-        return Task.of(garment, Hook() if target == "hook" else Hanger())
-    return TASKS[name]
+    def task(self, name: str) -> Task:
+        """Return a task by its name, with its garment in the size of this configuration; a mesh is read from its file."""
+        garment, _, target = name.rpartition("-")
+        if garment in self.meshes:
+            options = dict(self.meshes[garment])
+            mesh = Garment.from_mesh(options.pop("file"), **options, name=garment)
+            return Task.of(mesh, Hook() if target == "hook" else Hanger())
+        task = TASKS[name]
+        return dataclasses.replace(task, garment=functools.partial(task.garment, **self.sizes.get(garment, {})))
 
 
 def _physics(config: DatasetConfig, garment: Garment) -> tuple[SimulationConfig, Randomisation | None]:
@@ -156,8 +150,8 @@ def _physics(config: DatasetConfig, garment: Garment) -> tuple[SimulationConfig,
 
 def _scene(config: DatasetConfig, name: str, seed: int) -> tuple[Task, Garment, Target]:
     """Return task, garment and target of an episode; sizes, place and script have a generator each."""
-    garment = config.garment(name)
-    task = task_of(config, name, garment)
+    task = config.task(name)
+    garment = task.garment()
     target = task.target
     if config.vary:
         # The target first, and then a garment that does not touch the floor.
@@ -167,8 +161,7 @@ def _scene(config: DatasetConfig, name: str, seed: int) -> tuple[Task, Garment, 
         scale = config.randomisation.scale if config.randomisation is not None else None
         longest = float(target.seat[2]) / (scale[1] if scale else 1.0)
         if garment.name not in config.meshes:
-            make = functools.partial(task.garment, **config.sizes.get(garment.name, {}))
-            garment = varied_garment(make, garment, vary, rng, longest)
+            garment = varied_garment(task.garment, garment, vary, rng, longest)
 
     # The same generator decides that a path leaves its script, and draws that path.
     rng = Randomisation.generator(seed, "script")

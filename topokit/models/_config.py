@@ -45,9 +45,8 @@ class TrainConfig:
     #: Learning rate of AdamW. It rises over the first 2 % of steps, and falls along a cosine to a hundredth.
     learning_rate: Positive = 1e-3
     patience: Count = 5  #: number of epochs without a smaller validation loss after which training stops
-    threads: Annotated[int, Field(ge=1, le=1024)] = (
-        2  #: threads of PyTorch; with another number the weights differ in their last bits
-    )
+    #: Number of threads of PyTorch; with another number the weights differ in their last bits.
+    threads: Annotated[int, Field(ge=1, le=1024)] = 2
     #: Number of processes that read windows, besides the training process.
     workers: Annotated[int, Field(ge=0, le=1024)] = 0
 

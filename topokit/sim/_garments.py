@@ -142,16 +142,12 @@ class Garment:
     @functools.cached_property
     def edges(self) -> Ids:
         """Return all edges (E, 2) once, smaller id first, in lexicographic order."""
-        edges = np.unique(half_edges(self.faces), axis=0)
-        edges.setflags(write=False)
-        return edges
+        return np.unique(half_edges(self.faces), axis=0)
 
     @functools.cached_property
     def edge_lengths(self) -> Array:
         """Return the rest lengths (E,) of `edges`, metres."""
-        lengths = edge_lengths(self.vertices, self.edges)
-        lengths.setflags(write=False)
-        return lengths
+        return edge_lengths(self.vertices, self.edges)
 
     @property
     def area(self) -> float:

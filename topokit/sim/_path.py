@@ -160,13 +160,13 @@ def off_script(path: GripperPath, garment: Garment, target: Target, rng: np.rand
         time = (table["time"][i - 1] + table["time"][i] + 0.25) / 2
         place, opening, yaw = ((table[name][i - 1] + table[name][i]) / 2 for name in ("place", "opening", "yaw"))
         table["time"][i:] += 0.25
-        table = _inserted(table, i, Via(time, place + aside, opening, yaw))
+        table = np.insert(table, i, np.array(Via(time, place + aside, opening, yaw), dtype=_ROW))
         drawn["detour"] = float(np.linalg.norm(aside))
     if rng.random() < 0.25:
         i = int(rng.integers(1, len(table)))
         drawn["stop"] = float(table["time"][i])
         table["rest"][i] = True
-        table = _inserted(table, i, Via(*table[i]))
+        table = np.insert(table, i, table[i])
         table["time"][i + 1 :] += 0.3
     if rng.random() < 0.6:
         drawn["elsewhere"] = _start_elsewhere(table, garment, target, rng)
@@ -186,11 +186,6 @@ def off_script(path: GripperPath, garment: Garment, target: Target, rng: np.rand
         if changed.widest <= most:
             return changed
         table["opening"][1:] = table["opening"][1:] * 0.99 * most / changed.widest
-
-
-def _inserted(table: Table, i: int, via: Via) -> Table:
-    """Return a table with a place before row i."""
-    return np.concatenate([table[:i], np.array([via], dtype=_ROW), table[i:]])
 
 
 def _wander(start: Any, seat: Array, drop: float, rng: np.random.Generator) -> Table:

@@ -10,12 +10,11 @@ from __future__ import annotations
 
 import itertools
 from abc import ABC, abstractmethod
-from dataclasses import KW_ONLY, asdict, replace
+from dataclasses import KW_ONLY, asdict
 from typing import Any, ClassVar
 
 import numpy as np
 from numpy.typing import ArrayLike
-from typing_extensions import Self
 
 from topokit._config import Place, Positive, checked
 from topokit._geometry import turned
@@ -64,10 +63,6 @@ class _Target(ABC):
     def placed(self, places: ArrayLike) -> Array:
         """Return places (..., 3) of the target after it is turned and moved."""
         return turned(places, self.yaw) + self.place
-
-    def unplaced(self) -> Self:
-        """Return the target where the grippers come straight at it; scripts plan for it there."""
-        return replace(self, place=(0.0, 0.0, 0.0), yaw=0.0)
 
     def holds(self, loop: ArrayLike) -> bool:
         """Return whether a closed curve (L, 3) winds around the target: it links the closed centre line."""

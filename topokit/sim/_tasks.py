@@ -74,16 +74,14 @@ class Task:
         garment, target, rng
             As the plan takes them.
         """
-        return self.plan(garment, target.unplaced(), rng).placed(target)
+        return self.plan(garment, replace(target, place=(0.0, 0.0, 0.0), yaw=0.0), rng).placed(target)
 
     def off_script(self, rng: np.random.Generator) -> Task:
         """Return the same task with a plan that leaves its script by draws of a generator; the path's `drawn` notes them."""
-
-        def plan(garment: Garment, target: Target, script_rng: np.random.Generator) -> GripperPath:
-            """Return the path of the script, changed by draws."""
-            return off_script(self.plan(garment, target, script_rng), garment, target, rng)
-
-        return replace(self, plan=plan)
+        plan = self.plan
+        return replace(
+            self, plan=lambda garment, target, own: off_script(plan(garment, target, own), garment, target, rng)
+        )
 
     def wanted(self, loops: Mapping[str, Loop]) -> dict[str, Loop]:
         """Return the loops that the task asks for, of true loops by their names."""
