@@ -108,7 +108,6 @@ def test_labels_go_on_and_refuse_other_options(copy, made):
     assert labels.checksum() == Dataset(made).labels("full").checksum()
     refused = [
         ({"options": {**OPTIONS, "memory": 0}}, r"options\.memory = 40.*= 0"),
-        ({"observation": "camera"}, "without cameras"),
         ({"observation": "nothing"}, "observation"),
         ({"observation": "observed", "n_points": 3}, "n_points"),
         ({"observation": "observed", "options": {"match": dict}}, "not JSON serializable"),

@@ -66,7 +66,7 @@ class LabelSettings:
     """The settings with which a set of labels was made."""
 
     schema: Literal[2]
-    observation: Literal["full", "observed", "camera"]  #: the points that were tracked
+    observation: Literal["full", "observed"]  #: the points that were tracked
     #: number of first points of an observation that were tracked; None for all
     n_points: Annotated[int, Field(ge=4)] | None
     options: Mapping[str, Any]  #: the options of the tracker, `topokit.SeqPH`

@@ -39,8 +39,8 @@ def label_dataset(
     ----------
     folder : path
         A folder that `generate_dataset` made.
-    observation : {"full", "observed", "camera"}
-        Input of the tracker: all vertices, the recorded observation, or the observation of a dataset made with cameras.
+    observation : {"full", "observed"}
+        Input of the tracker: all vertices, or the recorded observation (of a dataset with cameras: what these saw).
     n_points : int, optional
         Number of points to track, a farthest-point sample of an observation of vertices.
     options : mapping, optional
@@ -53,8 +53,6 @@ def label_dataset(
     from tqdm import tqdm
 
     dataset = Dataset(folder)
-    if observation == "camera" and not dataset.config.cameras:
-        raise ValueError(f"{dataset.folder} was made without cameras: label `observed`")
     if n_points is not None and (observation != "observed" or dataset.config.cameras):
         raise ValueError("n_points is for an observation of vertices, which is in the order of a farthest-point sample")
 

@@ -92,7 +92,8 @@ def simulate(
     notes: dict[str, Any] = {"randomisation": None}
     if randomisation is not None:
         config, garment, cameras, drawn = randomisation.draw(seed, config, garment, cameras)
-        notes["randomisation"] = {**randomisation.describe(), "drawn": drawn}
+        ranges = {name: bounds and list(bounds) for name, bounds in dataclasses.asdict(randomisation).items()}
+        notes["randomisation"] = {"version": randomisation.version, "ranges": ranges, "drawn": drawn}
     if n_observed is None:
         n_observed = 500 if cameras else min(500, len(garment.vertices))
     # Plan the path, and turn the garment to its start.

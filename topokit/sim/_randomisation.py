@@ -89,11 +89,6 @@ class Randomisation:
         eye = camera.target + radius * np.array([flat * np.cos(azimuth), flat * np.sin(azimuth), np.sin(elevation)])
         return dataclasses.replace(camera, eye=tuple(eye.tolist()))
 
-    def describe(self) -> dict[str, Any]:
-        """Return the version and the ranges, as an episode records them."""
-        ranges = {name: bounds and list(bounds) for name, bounds in dataclasses.asdict(self).items()}
-        return {"version": self.version, "ranges": ranges}
-
 
 def _between(bounds: tuple[float, float], share: float, logarithmic: bool = False) -> float:
     """Return the number at a share of the way from the low to the high end of a range."""

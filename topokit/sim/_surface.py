@@ -12,7 +12,7 @@ from typing import TYPE_CHECKING
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 from scipy.sparse import coo_matrix, csr_matrix
-from scipy.sparse.csgraph import connected_components, dijkstra
+from scipy.sparse.csgraph import connected_components, depth_first_order, dijkstra
 
 from topokit._geometry import angle, turned
 from topokit._validate import as_ids
@@ -72,24 +72,14 @@ def count_components(faces: Ids) -> int:
 
 
 def border_cycles(faces: Ids) -> list[Ids]:
-    """Return the borders of a mesh, edges in one face only, as simple closed cycles; where they touch they are taken apart."""
+    """Return the borders of a mesh, edges in one face only, as closed cycles; borders that touch each other give none."""
     edges, count = np.unique(half_edges(faces), axis=0, return_counts=True)
     border = edges[count == 1]
-    # The edges that no walk has used, by vertex.
-    unused: dict[int, list[int]] = {}
-    for a, b in border.tolist():
-        unused.setdefault(a, []).append(b)
-        unused.setdefault(b, []).append(a)
-    cycles = []
-    for start in unused:
-        walk = [start]
-        while unused[walk[-1]]:
-            before = walk[-1]
-            after = unused[before].pop()
-            unused[after].remove(before)
-            walk.append(after)
-        cycles += simple_cycles(walk)
-    return [np.array(cycle, dtype=np.int64) for cycle in cycles]
+    graph = csr_matrix((np.ones(len(border)), border.T), shape=(int(faces.max()) + 1,) * 2)
+    _, label = connected_components(graph, directed=False)
+    _, first = np.unique(label[border[:, 0]], return_index=True)
+    walks = [depth_first_order(graph, start, directed=False, return_predecessors=False) for start in border[first, 0]]
+    return [np.roll(walk[::-1], 1).astype(np.int64) for walk in walks]
 
 
 class EdgeGraph:
