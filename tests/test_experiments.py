@@ -26,7 +26,7 @@ from torch.utils.data import default_collate
 from topokit.data import Dataset, WindowDataset, label_dataset
 from topokit.evaluate import true_loops
 from topokit.io import load_episode
-from topokit.models import Scenes, build
+from topokit.models import Predictor, Scenes, build
 from topokit.sampling import covering_radius
 from topokit.sim import WARDROBE
 
@@ -103,15 +103,13 @@ def test_a_difference_is_on_the_same_episodes():
 
 
 def masks(**options: object) -> Condition:
-    return Condition("masks", part="all", garments=["mask"], windows=1, **options)
+    return Condition("masks", garments=["mask"], windows=1, **options)
 
 
 def test_an_evaluation_of_a_few_windows(tmp_path):
     models = {"motion": [str(DATA / "checkpoints" / "motion.safetensors")]}
-    clean = masks(shares_no_episode=True)
-    noisy = Condition(
-        "noisy", part="all", garments=["mask"], windows=1, clouds=Clouds(noise=0.005, keep=0.5), models={}
-    )
+    clean = masks()
+    noisy = Condition("noisy", garments=["mask"], windows=1, clouds=Clouds(noise=0.005, keep=0.5), models={})
     config = EvaluationConfig(
         dataset=str(DATA / "motion"),
         models=models,
@@ -136,10 +134,10 @@ def test_an_evaluation_of_a_few_windows(tmp_path):
     assert noise < 1
 
 
-def test_a_model_is_not_tested_on_what_it_was_trained_on():
-    """The checkpoints of data_small were trained on its films and on many more; no statement to the contrary is made."""
-    models = {"mlp": [str(DATA / "checkpoints" / "mlp.safetensors")]}
-    config = EvaluationConfig(dataset=str(DATA / "dataset"), models=models, conditions=[masks()], ours="mlp")
+def test_a_model_is_not_tested_on_what_it_was_trained_on(monkeypatch):
+    path = DATA / "checkpoints" / "mlp.safetensors"
+    monkeypatch.setattr(Dataset, "checksum", lambda _: Predictor.load(path).description["dataset"])
+    config = EvaluationConfig(str(DATA / "dataset"), {"mlp": [str(path)]}, [masks()], ours="mlp")
     with pytest.raises(ValueError, match="mlp"):
         evaluate_forecasts(config)
 

@@ -85,15 +85,12 @@ class Condition:
     name: str  #: its key in the results
     dataset: str = ""  #: when not the dataset of the evaluation
     labels: str = ""  #: when not the labels of the evaluation
-    split: dict[str, Any] = field(default_factory=dict)  #: options of `Dataset.split`
-    part: str = "test"  #: of the split; "all" for all episodes
     plans: str = "all"  #: "script" or "off script": whether the grippers followed a scripted path
     turned: float = 0.0  #: degrees by which scene and plan are turned about the vertical before forecasters see them
     garments: Sequence[str] | None = None  #: all when not given
     windows: int = 100  #: at most so many of each garment, spread evenly over its episodes and their frames
     clouds: Clouds | None = None  #: when not given, seqPH, hold and carry have the states of the labels
     models: dict[str, list[str]] | None = None  #: checkpoints, when not those of the evaluation
-    shares_no_episode: bool = False  #: the author states that no checkpoint was trained on these episodes
 
 
 @dataclass(frozen=True)
@@ -201,10 +198,9 @@ def header(config: EvaluationConfig) -> dict[str, Any]:
 
 
 def tested_episodes(condition: Condition, dataset: Dataset, labels: str) -> NDArray[np.int64]:
-    """Return the labelled episodes of a condition: of its part of the split, of its garments and plans."""
-    parts = {**dataset.split(**condition.split), "all": dataset.episodes}
+    """Return the labelled episodes of a condition, of its garments and plans."""
     chosen = []
-    for number in parts[condition.part].tolist():
+    for number in dataset.episodes.tolist():
         if condition.garments is not None and dataset.record(number).garment not in condition.garments:
             continue
         if condition.plans != "all":
@@ -345,27 +341,12 @@ def load_checkpoint(path: Path, shown: str, shape: Shape) -> tuple[Predictor, di
         "sha256": hashlib.sha256(path.read_bytes()).hexdigest(),
         "model": description["model"],
         "seed": trained.get("seed"),
-        "split": trained.get("split", {}),
         "trained_on": description.get("dataset", ""),
     }
     for name in ("steps", "validation_loss"):
         if name in description:
             about[name] = description[name]
     return predictor, about
-
-
-def check_unseen(about: Mapping[str, Any], windows: WindowDataset, condition: Condition) -> None:
-    """Refuse a checkpoint that was trained, or stopped, on episodes that it is to be tested on."""
-    same = about["trained_on"] == windows.dataset.checksum()
-    if condition.shares_no_episode and not same:
-        return
-    parts = windows.dataset.split(**about["split"])
-    both = np.intersect1d(windows.episodes, np.concatenate([parts["train"], parts["validation"]]))
-    if len(both):
-        raise ValueError(
-            f"condition {condition.name!r}: {about['checkpoint']} was trained on {len(both)} episodes to test on, "
-            f'the first is {both[0]}; when the datasets share none, state it: "shares_no_episode": true'
-        )
 
 
 # ------------------------------------------------------------------------------------------------------------------- measuring
@@ -402,7 +383,8 @@ def measure_condition(config: EvaluationConfig, condition: Condition, folder: Pa
         checkpoints[shown] = []
         for path in paths:
             predictor, about = load_checkpoint(folder / path, path, shape)
-            check_unseen(about, clean, condition)
+            if about["trained_on"] == dataset.checksum():
+                raise ValueError(f"condition {condition.name!r}: {path} was trained on the episodes to test on")
             if about["model"] == "motion":
                 forecasters[shown].append(of_stream(predictor, observed, STEPS))
             else:
@@ -413,7 +395,6 @@ def measure_condition(config: EvaluationConfig, condition: Condition, folder: Pa
 
     samples = measure(forecasters, clean, observed, STEPS, config.seed, condition.name)
     settings = {key: value for key, value in asdict(condition).items() if key not in ("models", "dataset")}
-    garments = samples.drop_duplicates("window")["garment"].value_counts()
     spoilt = condition.clouds is not None
     failures = []
     if "ours" in forecasters and not spoilt:  # no dataset holds spoilt clouds
@@ -425,7 +406,6 @@ def measure_condition(config: EvaluationConfig, condition: Condition, folder: Pa
         "states_of_seqph_hold_carry_ridge": "tracked on the spoilt clouds" if spoilt else "the labels",
         "windows": len(clean),
         "episodes": len(clean.episodes),
-        "windows_by_garment": {str(garment): int(count) for garment, count in sorted(garments.items())},
         "checkpoints": checkpoints,
         **summarise(samples, config, thorough=first),
         "failures": failures,

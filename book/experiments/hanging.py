@@ -16,7 +16,6 @@ import itertools
 import json
 import sys
 import time
-from collections import Counter
 from collections.abc import Mapping
 from functools import cache
 from pathlib import Path
@@ -33,11 +32,9 @@ from chapter_tools.dressing import PullOver
 from chapter_tools.throwing import Fence, Thrower
 from topokit._archive import atomic_file
 from topokit.control import Planner, Servo, hang
-from topokit.io import Episode
-from topokit.linking import close_far, linking_number
 from topokit.models import Predictor
 from topokit.sim import TASKS as KNOWN
-from topokit.sim import Camera, SimulationConfig, Task
+from topokit.sim import Camera, SimulationConfig
 
 GARMENTS = ("apron", "apron2", "tote", "tote2", "backpack", "mask", "sheet")
 TASKS = [*(f"{garment}-{target}" for target in ("hook", "hanger") for garment in GARMENTS)]
@@ -258,39 +255,6 @@ def foreseen(task: str, seed: int, options: dict[str, Any], how: dict[str, Any])
     return result
 
 
-def cause(task: Task, result: Any) -> str:
-    """Return why a hanging failed, by which loops were around the target's centre line when it ended or was let go."""
-    if result.success:
-        return ""
-    if "stretched" in result.reason:
-        return "torn"
-    episode = result.episode
-    last = int(result.episode.held.sum()) - 1
-    wanted = {*task.wanted(episode.named_loops)}
-    around = {name for name, loop in episode.named_loops.items() if holds(episode, last, loop)}
-    found = wanted & around
-    is_enough = found == wanted if task.all_loops else bool(found)
-
-    # It was never let go, or too early, or it fell later.
-    if episode.held.all():
-        if is_enough:
-            return "never let go"
-        return "loop not seen" if "are seen" in result.reason else "did not get around"
-    if is_enough:
-        return "fell after it was let go"
-    if around and not found:
-        return "another loop"
-    return "let go too early"
-
-
-def holds(episode: Episode, frame: int, loop: Any) -> bool:
-    """Return whether a loop is around the target in a frame; the target where it is at the end."""
-    try:
-        return linking_number(episode.points[frame][loop], close_far(episode.centre_line)) != 0
-    except ValueError:
-        return False
-
-
 def main() -> None:
     """Run the episodes that are missing, and print a line for every task, scene and controller."""
     parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
@@ -315,7 +279,6 @@ def main() -> None:
         result = run(task, who, scene, seed, options.steps)
         row = {"task": task, "who": who, "scene": scene, "seed": seed, "success": result.success}
         row |= {"frames": result.steps, "reason": result.reason, "linked": list(result.linked)}
-        row["cause"] = cause(KNOWN[task], result)
         if who == "ppo":
             row["learned_for"] = options.steps
         row["decision_ms"] = round(1000 * result.seconds_a_decision, 1)
@@ -335,8 +298,7 @@ def show(rows: list[dict[str, Any]]) -> None:
         frames = ""
         if hung:
             frames = f"{np.median(hung):4.0f} frames"
-        causes = Counter(row["cause"] for row in mine if row.get("cause"))
-        print(f"{key[0]:26} {key[1]:16} {key[2]:9} {share} {frames}", *(f"{n} {why}," for why, n in causes.items()))
+        print(f"{key[0]:26} {key[1]:16} {key[2]:9} {share} {frames}")
 
 
 if __name__ == "__main__":
