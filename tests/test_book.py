@@ -9,8 +9,6 @@ from pathlib import Path
 
 import pytest
 
-from chapter_tools.quiz import label
-
 pytest.importorskip("sphinx", reason="the book's extension needs Sphinx: pip install 'topokit[book]'")
 ROOT = Path(__file__).resolve().parent.parent
 CHAPTERS = sorted((ROOT / "notebooks").glob("*.ipynb"))
@@ -32,13 +30,6 @@ def test_links_to_chapters_name_the_number_of_their_file():
             text = "\n".join("".join(cell["source"]) for cell in json.loads(text)["cells"])
         for named, number in LINK.findall(text):
             assert int(named) == int(number), path.name
-
-
-def test_chapters_are_numbered_without_a_gap_and_each_has_a_topic(book):
-    numbers = [int(label(path.stem)) for path in CHAPTERS if label(path.stem).isdigit()]
-    assert numbers == list(range(len(numbers)))
-    topics = dict(book("cards").TOPICS.findall((ROOT / "book" / "chapters.md").read_text(encoding="utf-8")))
-    assert sorted(topics) == [f"notebooks/{path.stem}" for path in CHAPTERS]
 
 
 def test_a_result_is_found_by_its_path_and_a_star_is_a_sum(book):

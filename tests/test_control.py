@@ -130,13 +130,6 @@ def test_planned_paths_are_no_faster_and_no_harder_than_said():
     assert abs(np.diff(actions, axis=0)).max() <= 0.06 + 1e-6
 
 
-def test_in_a_hurry_a_loop_that_leaves_no_room_is_planned_for():
-    narrow = seen(ring(60, 0.06, centre=(0, -0.6, 1.34)), HANDS)
-    slow = plan(Planner(pace=0.6), narrow, 20)
-    np.testing.assert_array_equal(slow, plan(Servo(), narrow, 20))
-    assert not np.array_equal(slow, plan(Planner(pace=1.0), narrow, 20))
-
-
 @pytest.fixture(scope="module")
 def outcome():
     return hang("apron-hook", garment=COARSE, seed=1)

@@ -15,7 +15,7 @@ from topokit.data._dataset import LABELS_KIND, Record
 from topokit.data._folder import write_json
 from topokit.io import state_arrays
 
-from small_datasets import OPTIONS, SEED, TINY, contents, labelled, part_of
+from small_datasets import OPTIONS, SEED, TINY, contents, labelled
 
 EPISODES = 8
 
@@ -48,13 +48,6 @@ def test_what_a_dataset_says_of_itself(made):
         dataset.labels("none")
     with pytest.raises(FileNotFoundError, match="there is no dataset"):
         Dataset(made.parent)
-
-
-def test_some_of_the_files_are_a_dataset(made, tmp_path):
-    part = part_of(Dataset(made), [7, 2, 5], tmp_path / "part")
-    assert part.episodes.tolist() == [2, 5, 7]
-    assert len(part.states(7, "observed-40")) == 20
-    assert part.checksum() != Dataset(made).checksum()
 
 
 # -- labels -----------------------------------------------------------------------------------------------------------------

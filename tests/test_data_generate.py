@@ -26,7 +26,7 @@ from topokit.io import save_episode
 
 from small_datasets import SEED, TINY, command, contents, wait_until, write_cloth
 
-EPISODES = 12
+EPISODES = 9
 
 
 def episodes_in(folder):

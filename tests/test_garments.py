@@ -13,7 +13,7 @@ from scipy.spatial import cKDTree
 pytest.importorskip("pybullet")
 
 from topokit import rips_persistence
-from topokit.io import LOOP_NAMES, load_episode
+from topokit.io import load_episode
 from topokit.sim import WARDROBE, Garment, SimulationConfig, World
 
 from conftest import polygon
@@ -89,16 +89,6 @@ def test_loops_are_what_persistence_finds(name):
     assert lifetime[CLASSES[name] - 1] > 1.5 * lifetime[CLASSES[name]]
 
 
-@pytest.mark.parametrize("name", LOOP_NAMES)
-def test_loops_have_the_names_that_files_of_episodes_leave_out(name):
-    garment = WARDROBE[name]()
-    assert garment.loop_names == tuple(garment.named_loops) == LOOP_NAMES[name]
-    # Necks, handles, straps and ear loops are above the middle, and a hem is the lowest of the loops.
-    heights = [float(garment.vertices[loop, 2].mean()) for loop in garment.loops]
-    assert heights[0] > garment.vertices[:, 2].mean()
-    assert ("hem" in garment.loop_names) <= (heights[-1] == min(heights))
-
-
 def test_the_apron_is_the_recorded_one(episode_path):
     episode = load_episode(episode_path)
     np.testing.assert_array_equal(WARDROBE["apron"]().faces, episode.faces)
@@ -153,15 +143,9 @@ BAD = [
     ("tote2", {"handle_span": 0.35}),
     ("tote", {"width": "wide"}),
     ("tote", {"spacing": 0.3}),
-    ("backpack", {"box_height": 0.5}),
     ("shirt", {"sleeve_length": 0.01}),
-    ("vest", {"armhole_depth": 0.6}),
-    ("mask", {"strap_span": 0.2}),
     ("sheet", {"hole_radius": 0.02}),
     ("sheet2", {"hole_distance": 0.5, "width": 0.6}),
-    ("scarf", {"length": 0.1}),
-    ("belt", {"loop_width": 0.01}),
-    ("net", {"mesh_radius": 0.1}),
 ]
 
 

@@ -231,14 +231,6 @@ def test_converse_speaks_about_two_similar_loops():
     assert not check.paper.applies
 
 
-def test_a_statement_without_a_loop_is_empty():
-    check = lemmas.observability([[0.0, 0.0], [1.0, 0.0]], [0])
-    assert check.corrected.loops == 0
-    assert check.corrected.holds
-    assert not check.corrected.applies
-    assert "empty" in str(check)
-
-
 @pytest.mark.parametrize(
     ("call", "names"),
     [

@@ -15,7 +15,7 @@ from topokit.models._motion import CARRIERS, KNOTS, UNIT, carried
 from topokit.seqph import SeqPH, follow
 
 from conftest import DATA
-from windows import RingScenes
+from windows import ring_scenes
 
 SHAPE = Shape(points=160)
 FILMS = DATA / "motion"
@@ -30,7 +30,7 @@ def make(width: int = 16, seed: int = 0, strong: float = 0.3, **options):
 
 @pytest.fixture(scope="module")
 def batch():
-    scenes = RingScenes(4, seed=3)
+    scenes = ring_scenes(4, seed=3)
     return default_collate([scenes[i] for i in range(4)])
 
 

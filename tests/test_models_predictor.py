@@ -20,7 +20,7 @@ from topokit.models._baselines import Normalisation, Shape
 from topokit.models._checkpoint import describe, save_tensors
 from topokit.models._states import past_of
 
-from windows import HISTORY, HORIZON, POINTS, SLOTS, RingWindows
+from windows import HISTORY, HORIZON, POINTS, SLOTS, ring_windows
 
 CHECKPOINTS = Path(__file__).parents[1] / "data_small" / "checkpoints"
 SHAPE = Shape(points=POINTS, slots=SLOTS)
@@ -47,7 +47,7 @@ def save(path, name="mlp", **changes):
 
 @pytest.fixture(scope="module")
 def window():
-    data = RingWindows(4, seed=5)
+    data = ring_windows(4, seed=5)
     return default_collate([data[i] for i in range(4)])
 
 
@@ -131,7 +131,7 @@ def test_ridge_is_the_solution_of_scikit_learn():
     from sklearn.linear_model import Ridge
 
     model = make("ridge")
-    data = RingWindows(40, seed=8)
+    data = ring_windows(40, seed=8)
     model.fit([default_collate([data[i] for i in range(start, start + 20)]) for start in (0, 20)])
     whole = default_collate([data[i] for i in range(40)])
     kept = model.encode(whole)

@@ -12,7 +12,7 @@ from topokit.io import load_episode
 from topokit.models import StateTensors, forecast_loss, loop_mixtures
 from topokit.models._states import past_of
 
-from windows import RingWindows
+from windows import ring_windows
 
 
 @pytest.fixture(scope="module")
@@ -22,7 +22,7 @@ def tracked(episode_path):
 
 @pytest.fixture(scope="module")
 def window():
-    data = RingWindows(6, seed=3)
+    data = ring_windows(6, seed=3)
     return default_collate([data[i] for i in range(6)])
 
 

@@ -16,7 +16,7 @@ from topokit.models import Predictor, StateTensors, TrainConfig, build, train
 from topokit.models._baselines import Shape
 from topokit.models._training import mirrored
 
-from windows import POINTS, SLOTS, RingScenes, RingWindows
+from windows import POINTS, SLOTS, ring_scenes, ring_windows
 
 SHAPE = Shape(points=POINTS, slots=SLOTS)
 MORE = {"centre": 1.0, "match": True}
@@ -26,12 +26,12 @@ OPTIONS = {"mlp": {"hidden": [32, 16]}, "pointnet": {"hidden": [64, 32]}, "motio
 
 @pytest.fixture(scope="module")
 def windows():
-    return RingWindows(96, seed=0), RingWindows(24, seed=1), "rings"
+    return ring_windows(96, seed=0), ring_windows(24, seed=1), "rings"
 
 
 @pytest.fixture(scope="module")
 def scenes():
-    return RingScenes(96, seed=0), RingScenes(24, seed=1), "rings"
+    return ring_scenes(96, seed=0), ring_scenes(24, seed=1), "rings"
 
 
 def config(model="mlp", **changes):
@@ -179,7 +179,7 @@ def test_bad_configurations_are_named(tmp_path, text, named):
 
 
 def test_a_mirrored_window_is_the_window_of_the_mirrored_scene():
-    data = RingWindows(4, seed=2)
+    data = ring_windows(4, seed=2)
     image = torch.tensor([-1.0, 1.0, 1.0])
     window = default_collate([data[i] for i in range(4)])
     # One gripper is higher and farther ahead than the other.
@@ -199,11 +199,11 @@ def test_a_mirrored_window_is_the_window_of_the_mirrored_scene():
 
 
 def test_it_learns_to_swing_and_how_sure_it_is(tmp_path):
-    data = (RingScenes(96, seed=0), RingScenes(16, seed=1))
+    data = (ring_scenes(96, seed=0), ring_scenes(16, seed=1))
     how = config("motion", options={"width": 32}, shape=Shape(points=160), batch=8, epochs=16, learning_rate=0.01)
     train(how, tmp_path, data)
     model = Predictor.load(tmp_path / "best.safetensors").model
-    test = default_collate(RingScenes(32, seed=2).items)
+    test = default_collate(ring_scenes(32, seed=2).items)
     torch.manual_seed(0)
     carry = build("motion", Shape(points=160))
     torch.nn.init.zeros_(carry.out[2].weight)  # it predicts that the cloth is carried

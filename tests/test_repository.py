@@ -4,8 +4,6 @@ from __future__ import annotations
 
 import ast
 import re
-import subprocess
-import sys
 from pathlib import Path
 
 import tomllib
@@ -57,16 +55,6 @@ def test_versions_agree():
     assert version == topokit.__version__
     assert version == yaml.safe_load((ROOT / "CITATION.cff").read_text())["version"]
     assert f"## {version}" in (ROOT / "CHANGELOG.md").read_text()
-
-
-def test_import_is_light_and_quiet():
-    """Count modules, not seconds: a test that times fails on a busy machine."""
-    heavy = ["numba", "torch", "pybullet", "trimesh", "matplotlib", "scipy", "pandas", "dask"]
-    heavy += ["gudhi", "ripser", "sklearn", "gymnasium", "rosbags", "networkx"]
-    code = f"import sys, topokit; print([name for name in {heavy} if name in sys.modules], file=sys.stderr)"
-    done = subprocess.run([sys.executable, "-W", "error", "-c", code], capture_output=True, text=True, check=True)
-    assert done.stdout == ""
-    assert done.stderr.strip() == "[]"
 
 
 # Data flows downwards in this list; nothing imports from a line below its own. Underscored modules at the top of the

@@ -269,7 +269,6 @@ def test_a_diagram_that_is_given_is_used():
     ("call", "error", "names"),
     [
         (lambda: SeqPH(alpha=-1), ValueError, "alpha"),
-        (lambda: SeqPH(beta="wide"), TypeError, "beta"),
         (lambda: SeqPH(gates="loose"), ValueError, "gates"),
         (lambda: track(polygon(20)), ValueError, "shape"),
         (lambda: track([polygon(20)] * 2, times=[0.0]), ValueError, "1 values for 2 frames"),

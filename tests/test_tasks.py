@@ -14,13 +14,11 @@ from topokit.io import load_episode
 from topokit.sim import (
     TASKS,
     WARDROBE,
-    Camera,
     Garment,
     Hanger,
     Hook,
     Mannequin,
     Randomisation,
-    SimulationConfig,
     Task,
 )
 from topokit.sim._path import GripperPath, Via
@@ -164,25 +162,6 @@ def test_off_script_plans_stay_in_their_bounds():
         seen |= {"late"} if path.release > last + 0.1 else set()
     changes = {"wander", "push", "miss", "turn", "openings", "detour", "stop", "elsewhere", "pace", "release"}
     assert seen >= {*changes, "never", "early", "late"}
-
-
-# What is drawn.
-
-
-def test_purposes_do_not_move_each_other():
-    purposes = ("path", "physics", "cameras", "noise", "sizes", "place", "script")
-    assert len({Randomisation.generator(3, purpose).random() for purpose in purposes}) == len(purposes)
-    cameras = (Camera(), Camera((1.6, 0.0, 1.2)))
-    scene = (3, SimulationConfig(), coarse("apron"), cameras)
-    config, garment, moved, drawn = Randomisation().draw(*scene)
-    fixed = Randomisation(mass=None, scale=None, camera_turn=None).draw(*scene)
-    assert fixed[0].mass == 0.3
-    assert fixed[0].stiffness == config.stiffness == drawn["stiffness"]
-    assert garment.parameters["scale"] == drawn["scale"]
-    np.testing.assert_allclose(garment.vertices, drawn["scale"] * coarse("apron").vertices)
-    assert fixed[1].parameters == coarse("apron").parameters
-    away = [np.linalg.norm(np.subtract(camera.eye, camera.target)) for camera in (*moved, *fixed[2])]
-    np.testing.assert_allclose(away[:2], away[2:])
 
 
 # Tasks.

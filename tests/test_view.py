@@ -13,7 +13,6 @@ from chapter_tools import figures
 from topokit import view
 from topokit.io import Episode, load_episode
 from topokit.linking import close_far, linking_number
-from topokit.sim import WARDROBE
 
 from conftest import DATA, polygon
 from pages import by_script, needs_node, page_data, unpack
@@ -71,13 +70,6 @@ def test_a_diagram_has_a_dot_for_each_loop_in_its_colour(states):
     assert np.diff(dashed.get_xydata()[0]) == pytest.approx(states[0].parameters["alpha"])
 
 
-def test_a_diagram_shows_a_loop_that_does_not_die_and_no_loops(episode):
-    axes = view.plot_diagram(tk.rips_persistence(episode.points[0], max_radius=0.04))
-    assert sum(line.get_marker() == "^" for line in axes.lines) == 1
-    assert np.isfinite(axes.get_ylim()).all()
-    assert len(view.plot_diagram(tk.TopologicalState(0, 0.0)).lines) == 1
-
-
 def test_tracks_break_where_a_loop_is_missing(states):
     gap = [*states[:2], tk.TopologicalState(2, states[2].time), *states[3:]]
     axes = view.plot_tracks(gap)
@@ -115,16 +107,6 @@ def test_the_player_starts_at_the_longest_life_or_at_a_given_frame(episode, stat
     bare = replace(episode, faces=np.zeros((0, 3), np.int32), loops=(), centre_line=np.zeros((0, 3), np.float32))
     data = page_data(view.player(bare, [tk.TopologicalState(t, 0.0) for t in range(FRAMES)]))
     assert (data["long"], data["marks"], data["start"]) == ([], [], 0)
-
-
-def test_a_wardrobe_holds_each_mesh_and_its_true_loops():
-    worn = {name: WARDROBE[name]() for name in ("mask", "shirt")}
-    meshes = page_data(figures.wardrobe(worn))["garments"]
-    for mesh, (name, garment) in zip(meshes, worn.items(), strict=True):
-        assert mesh["name"] == name
-        np.testing.assert_allclose(unpack(mesh["points"])[0], garment.vertices, atol=1e-4)
-        np.testing.assert_array_equal(unpack(mesh["faces"]), garment.faces)
-        assert [list(loop) for loop in garment.loops] == mesh["truth"]
 
 
 AHEAD = (1, 3, 6, 10)

@@ -12,12 +12,11 @@ from topokit.models._scenes import scene_at, target_of
 HISTORY, HORIZON, POINTS, SLOTS = 16, 60, 24, 4
 
 
-class RingWindows(Dataset[dict[str, Tensor]]):
-    """`n` windows in memory, with the fields of `topokit.data.WindowDataset`; slot 0 holds the ring, slot 1 a ghost at times."""
+class Items(Dataset[dict[str, Tensor]]):
+    """Items in memory."""
 
-    def __init__(self, n: int, seed: int = 0) -> None:
-        rng = np.random.default_rng(seed)
-        self.items = [window(rng, i) for i in range(n)]
+    def __init__(self, items: list[dict[str, Tensor]]) -> None:
+        self.items = items
 
     def __len__(self) -> int:
         return len(self.items)
@@ -26,18 +25,16 @@ class RingWindows(Dataset[dict[str, Tensor]]):
         return self.items[i]
 
 
-class RingScenes(Dataset[dict[str, Tensor]]):
+def ring_windows(n: int, seed: int = 0) -> Items:
+    """`n` windows with the fields of `topokit.data.WindowDataset`; slot 0 holds the ring, slot 1 a ghost at times."""
+    rng = np.random.default_rng(seed)
+    return Items([window(rng, i) for i in range(n)])
+
+
+def ring_scenes(n: int, seed: int = 0) -> Items:
     """`n` scenes of `topokit.models.Scenes`: a ring between two grippers that swings behind them, about a pin that stands."""
-
-    def __init__(self, n: int, seed: int = 0) -> None:
-        rng = np.random.default_rng(seed)
-        self.items = [scene_at(film(rng), int(rng.integers(12, 30)), rng) for _ in range(n)]
-
-    def __len__(self) -> int:
-        return len(self.items)
-
-    def __getitem__(self, i: int) -> dict[str, Tensor]:
-        return self.items[i]
+    rng = np.random.default_rng(seed)
+    return Items([scene_at(film(rng), int(rng.integers(12, 30)), rng) for _ in range(n)])
 
 
 def film(rng: np.random.Generator, frames: int = 80) -> dict[str, np.ndarray]:
