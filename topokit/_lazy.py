@@ -12,16 +12,11 @@ from pathlib import Path
 from typing import Any
 
 
-def shown(path: str) -> dict[str, str]:
-    """Return the public names of the package with the face `path`, and the module that each comes from."""
-    tree = ast.parse(Path(path).read_text(encoding="utf-8"))
-    imports = [node for node in ast.walk(tree) if isinstance(node, ast.ImportFrom) and node.level == 1]
-    return {alias.name: node.module or "" for node in imports for alias in node.names}
-
-
 def attach(package: str, path: str, extra: str = "") -> tuple[Callable[[str], Any], Callable[[], list[str]], list[str]]:
     """Return the `__getattr__`, the `__dir__` and the `__all__` of a face; errors name `extra`, which brings what is missing."""
-    module_of = shown(path)
+    tree = ast.parse(Path(path).read_text(encoding="utf-8"))
+    imports = [node for node in ast.walk(tree) if isinstance(node, ast.ImportFrom) and node.level == 1]
+    module_of = {alias.name: node.module or "" for node in imports for alias in node.names}
     requirement = f"topokit[{extra}]" if extra else "topokit"
 
     def __getattr__(name: str) -> Any:

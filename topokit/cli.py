@@ -96,7 +96,8 @@ def _parser() -> ArgumentParser:
     add("--out", type=_name(".npz"), metavar="FILE", help="write the run as an episode (.npz)")
     add("--film", type=_name(".html"), metavar="FILE", help="write a film of it (.html)")
     add("--model", help="plan by a forecast: carry, or the checkpoint of a motion model (default: a servo without one)")
-    add("--anywhere", action="store_true", help="put the target anywhere in the room, at any yaw")
+    place = {"dest": "place", "action": "store_const", "const": "anywhere"}
+    add("--anywhere", **place, help="put the target anywhere in the room, at any yaw")
     _add_scene(add, "tote-hook")
 
     add = command(generate)
@@ -259,13 +260,7 @@ def simulate(out: Path, task: str = "apron-hook", randomise: bool = False, **opt
     }
 
 
-def hang(
-    task: str = "tote-hook",
-    out: Path | None = None,
-    film: Path | None = None,
-    anywhere: bool = False,
-    **options: Any,
-) -> Answer:
+def hang(task: str = "tote-hook", out: Path | None = None, film: Path | None = None, **options: Any) -> Answer:
     """Hang a garment by its observations, in a closed loop.
 
     The exit code is 1 when it does not hang.
@@ -274,8 +269,6 @@ def hang(
     from .io import save_episode
     from .seqph import track as track_clouds
 
-    if anywhere:
-        options["place"] = "anywhere"
     result = run_hanging(task, **options)
     if out is not None:
         save_episode(out, result.episode)

@@ -5,12 +5,10 @@ from __future__ import annotations
 from typing import NamedTuple
 
 import numpy as np
-from numpy.typing import NDArray
 
 from topokit._geometry import angle, turned
+from topokit._validate import Array
 from topokit.linking import close_far, linking_number
-
-Array = NDArray[np.float64]
 
 
 class Arm(NamedTuple):

@@ -9,11 +9,9 @@ from __future__ import annotations
 from typing import NamedTuple
 
 import numpy as np
-from numpy.typing import NDArray
 
+from topokit._validate import Array
 from topokit.linking import curve_centroid
-
-Array = NDArray[np.float64]
 
 
 def lies_flat(curve: Array) -> bool:

@@ -20,8 +20,9 @@ from numpy.typing import ArrayLike, NDArray
 from scipy.interpolate import CubicSpline
 
 from topokit._geometry import angle, turned
+from topokit._validate import Array
 
-from ._arm import Arm, Array
+from ._arm import Arm
 from ._servo import Servo, ServoOptions
 
 # The frames at which a path is described, up to the horizon of the forecast; and those, from 0, at which the guide is computed.
@@ -57,9 +58,7 @@ class Carried:
     def reset(self) -> None:
         """Forget everything observed."""
 
-    def observe(
-        self, points: ArrayLike, grippers: ArrayLike, held: bool = True, target: ArrayLike | None = None
-    ) -> None:
+    def observe(self, points: ArrayLike, grippers: ArrayLike, *others: Any) -> None:
         """Take in the next frame, of which this forecast uses the grippers (2, 3) alone."""
         self._grippers = np.array(grippers, np.float64)
 

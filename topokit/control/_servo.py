@@ -22,11 +22,12 @@ from scipy.ndimage import uniform_filter1d
 from scipy.spatial import cKDTree
 
 from topokit._geometry import angle, turned
+from topokit._validate import Array
 from topokit.rips import rips_persistence
 from topokit.sampling import as_tree
 from topokit.seqph import SeqPH
 
-from ._arm import Arm, Array
+from ._arm import Arm
 from ._opening import Opening, lies_flat
 
 # The stops of the rail: metres before the tip (-1: the stop is above the seat), and the speed as a share of the largest step.

@@ -15,10 +15,9 @@ from typing import Literal
 import numpy as np
 from numpy.typing import NDArray
 
+from topokit._validate import Array, Ids
 from topokit.seqph import assign
 
-Array = NDArray[np.float64]
-Ids = NDArray[np.int64]
 Kind = Literal["match", "switch", "fragment", "miss", "false positive"]
 LEVELS = np.arange(0.05, 0.99, 0.05)  # (19,) the similarities over which HOTA is averaged
 THRESHOLD = 0.5  # least similarity of a match for the other measures

@@ -155,16 +155,13 @@ class TopologicalState:
     time: float  #: seconds, when the sequence has a clock; else the frame number
     loops: tuple[Loop, ...] = ()  #: longest lifetime first
     #: the `alpha`, `beta` and `epsilon` used at this frame, given or estimated
-    parameters: dict[str, Any] = field(default_factory=dict)
+    parameters: dict[str, Any] = field(default_factory=dict, repr=False)
 
     def __len__(self) -> int:
         return len(self.loops)
 
     def __iter__(self) -> Iterator[Loop]:
         return iter(self.loops)
-
-    def __repr__(self) -> str:
-        return f"TopologicalState(frame={self.frame}, time={self.time}, loops={self.loops})"
 
     def __getitem__(self, loop_id: int) -> Loop:
         """Return the loop with that identity; raise KeyError when this frame has none."""
