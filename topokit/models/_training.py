@@ -24,7 +24,7 @@ from torch import Tensor
 from torch.utils.data import DataLoader, Subset, default_collate
 from tqdm import tqdm
 
-from topokit._archive import atomic_file
+from topokit._archive import FormatError, atomic_file
 from topokit._config import from_mapping
 
 from ._baselines import Model, Normalisation, Ridge
@@ -235,8 +235,12 @@ class _Training:
         self.model.load_state_dict(weights)
         if self.model.learns:
             state = self.optimizer.state_dict()
+            shapes = dict(enumerate(part.shape for part in self.model.parameters()))
             for name in tensors.keys() - weights.keys():
                 _, index, key = name.split(".")
+                # The fused optimiser reads beyond the end of a moment that is smaller than its weights.
+                if key != "step" and tensors[name].shape != shapes.get(int(index)):
+                    raise FormatError(f"{self.last}: {name} has not the shape of its weights; remove the file")
                 state["state"].setdefault(int(index), {})[key] = tensors[name]
             self.optimizer.load_state_dict(state)
 
