@@ -135,9 +135,10 @@ def test_columns_of_pandas_that_may_be_missing_are_numbers():
         tk.rips_persistence(table.to_numpy(object))
 
 
-def test_a_mesh_is_no_cloud():
-    mesh = type("Mesh", (), {"vertices": RING})()
-    with pytest.raises(TypeError, match="points must hold real numbers"):
+@pytest.mark.parametrize("part", ["vertices", "points"])
+def test_the_points_of_a_mesh_are_asked_for(part):
+    mesh = type("Mesh", (), {part: RING})()
+    with pytest.raises(TypeError, match=part):
         tk.rips_persistence(mesh)
 
 

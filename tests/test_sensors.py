@@ -123,6 +123,14 @@ def test_a_lens_that_is_not_the_pinhole_of_the_image_is_refused_by_name(tmp_path
         clouds(tmp_path / "a.npy", intrinsics={**LENS, **entries})
 
 
+@pytest.mark.parametrize("kind", ["u2", "f4", "f8"])
+@pytest.mark.parametrize("scale", [0.001, 0.0002, 1 / 256])
+def test_a_declared_scale_of_depth_holds_for_floats_too(tmp_path, kind, scale):
+    np.save(tmp_path / "a.npy", np.full((30, 40), np.round(1.2 / scale), kind))
+    depth = clouds(tmp_path / "a.npy", intrinsics={**LENS, "depth_scale": scale})[0][:, 2]
+    np.testing.assert_allclose(depth, 1.2, atol=scale)
+
+
 @pytest.mark.parametrize(
     ("size", "columns"), [((376, 672, 4), [0, 1, 2]), ((192, 256, 3), None), ((7, 50, 3), None), ((30, 40), None)]
 )

@@ -22,7 +22,8 @@ def as_reals(values: Any, name: str) -> NDArray[Any]:
     if array.dtype == object:  # numbers that may be missing, as of pandas
         array = np.array(array.tolist())
     if array.dtype.kind not in "biuf":
-        raise WrongKindError(f"{name} must hold real numbers, not {array.dtype}")
+        held = next((f"; give {name}.{part}" for part in ("vertices", "points") if hasattr(values, part)), "")
+        raise WrongKindError(f"{name} must hold real numbers, not {array.dtype}{held}")
     return array
 
 

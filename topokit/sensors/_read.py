@@ -64,6 +64,8 @@ def read_clouds(
     FormatError
         When a file is damaged, of another kind, or ambiguous. The message names the file, the problem and a remedy.
     """
+    if fps is not None:
+        positive(fps, "fps", zero=False)
     if scale is not None:
         positive(scale, "scale", zero=False)
     options = _Options(layout, scale, None if columns is None else tuple(columns), intrinsics)
@@ -89,8 +91,8 @@ def _files_of(path: Path) -> list[Path]:
     kinds = sorted({file.suffix.lower() for file in files})
     if len(kinds) != 1 or kinds[0] not in _READERS:
         held = ", ".join(kinds) or "no cloud"
-        cure = "read others by their own packages, and np.save their points"
-        raise FormatError(f"{path}: holds {held}; a film is of one kind: {', '.join(_READERS)}; {cure}")
+        cure = f"; np.save the points of {_ELSEWHERE[held]}" if held in _ELSEWHERE else ""
+        raise FormatError(f"{path}: holds {held}; a film is of one kind: {', '.join(_READERS)}{cure}")
     return sorted(
         files, key=lambda file: [int(word) if word.isdigit() else word for word in re.split(r"(\d+)", file.stem)]
     )
@@ -225,3 +227,14 @@ def _table(file: Path, options: _Options) -> Frames:
 
 _READERS = {".npy": _npy, ".npz": _npz, ".ply": _ply, ".png": _png}
 _READERS |= dict.fromkeys((".csv", ".txt", ".xyz", ".pts"), _table)
+
+# What reads the points of other files.
+_ELSEWHERE = dict.fromkeys(
+    (".glb", ".gltf", ".obj", ".off", ".stl"), "trimesh.load(path, process=False, force='mesh').vertices"
+)
+_ELSEWHERE |= {
+    ".las": "laspy.read(path).xyz",
+    ".laz": "laspy.read(path).xyz",
+    ".pcd": "pypcd4.PointCloud.from_path(path).numpy()",
+}
+_ELSEWHERE |= dict.fromkeys((".vtk", ".vtp", ".vtu"), "pyvista.read(path).points")
