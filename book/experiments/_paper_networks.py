@@ -1,4 +1,4 @@
-"""Networks of paper.py that the library does not have: two controls, and an opponent of Motion.
+"""Forecasters of paper.py that the library does not have: two controls, an opponent of Motion, and a rule that sees no cloud.
 
 `GivenLoops` starts from the tracked loops, as Motion does, but it is told nothing of how points of the cloth move.
 `AlignedPointNet` has the transform of the input, which the library's PointNet leaves out. `Graph` passes messages between
@@ -9,9 +9,11 @@ Source: Qi, Su, Mo, Guibas 2017, *PointNet* (input transform); Sanchez-Gonzalez 
 with graph networks* (encode, pass messages, decode). Used in chapter 15.
 """
 
+from collections.abc import Mapping
 from typing import Any
 
 import torch
+from forecasts import Forecaster
 from torch import Tensor, nn
 
 from topokit._config import checked
@@ -186,6 +188,31 @@ class Graph(Motion):
         change = torch.stack(changes, dim=1)  # (C, 13, N, 4)
         ahead_at = torch.stack(ahead, dim=1) + torch.tensor(KNOTS)[:, None, None] / 15 * change[..., :3]
         return world(ahead_at, codes.origin, codes.axes), 0.01 * (change[..., 3] + 1).exp()
+
+
+def blind(height: float, slots: int) -> Forecaster:
+    """Return the forecaster that reads no cloud: every loop is `height` metres below the planned middle of the grippers.
+
+    The middle stays where they let go of the cloth. All slots are present, and at the same place.
+    """
+
+    def forecast(window: Mapping[str, Tensor]) -> StateTensors:
+        held = window["actions_held"]
+        last_held = torch.where(held, torch.arange(held.shape[1]), 0).cummax(dim=1).values
+        middle = window["actions"].mean(dim=2).take_along_dim(last_held[..., None], dim=1)  # (B, K, 3)
+        place = middle - torch.tensor([0.0, 0.0, height])
+        ones = place.new_ones(*place.shape[:2], slots)
+        return StateTensors(
+            corners=place[:, :, None, None].expand(-1, -1, slots, 8, -1),
+            neighbour_values=0.025 * ones[..., None].expand(-1, -1, -1, 4),
+            birth=0.025 * ones,
+            death=0.05 * ones,
+            killer_shift=0.025 * ones,
+            presence=6 * ones,
+            noise=1e-4 * ones,
+        )
+
+    return forecast
 
 
 def start_at_zero(last: nn.Linear) -> None:

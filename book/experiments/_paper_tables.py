@@ -84,27 +84,10 @@ def differences(shares: pd.DataFrame, films: int) -> dict[str, Any]:
     rivals = [name for name in models if name.startswith(("mlp", "pointnet", "graph"))]
     pairs = [(rival, other) for rival in rivals for other in ("seqph", *SAME_POINTS, "hold", "carry", "blind")]
     pairs += [("pointnet", "mlp"), *(("motion", other) for other in models if other != "motion")]
-    pairs += [("motion_whole", other) for other in models if other != "motion_whole"]
-    pairs += [("motion_unknown", "carry")]
     found = {}
     for one, other in pairs:
         if one in models and other in models:
             found[f"{one} - {other}"] = _in_points(shares[models[one]]["all"] - shares[models[other]]["all"])
-    return found
-
-
-def lost(samples: pd.DataFrame, others: pd.DataFrame) -> dict[str, Any]:
-    """Return for each measure how many points Motion and carry lose from the films of some samples to those of others.
-
-    Films and training seeds of the two groups are drawn independently of each other.
-    """
-    names = ("motion", "carry")
-    before = shares_of(samples[samples["model"].isin(names)])
-    after = shares_of(others[others["model"].isin(names)], draws_seed=1)
-    found = {}
-    for measure in MEASURES:
-        there, here = (shares[measure][0] for shares in (before, after))
-        found[measure] = {name: _in_points(there[f"{name}|0"]["all"] - here[f"{name}|0"]["all"]) for name in names}
     return found
 
 

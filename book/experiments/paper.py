@@ -1,7 +1,6 @@
 """Repeat the paper's experiment in the paper's own setting: book/results/paper.csv.
 
     python book/experiments/paper.py
-    python book/experiments/paper.py --protocol book/experiments/paper_anywhere.json --work runs/paper_anywhere
     python book/experiments/paper.py --protocol book/experiments/paper_usual.json --work runs/paper_usual
     python book/experiments/paper.py --protocol book/experiments/paper_openings.json --work runs/paper_openings
 
@@ -15,9 +14,9 @@ tests      films of other seeds and their loops, on the usual mesh and on the co
 forecasts  of all windows by all forecasters, on validation films and on test films
 table      shares with intervals, the logs of the trainings, and what became of the claims
 
-Test films are forecast only when every network has been trained with every seed. The learning curves of the records (`curve` in
-the protocols, and paper_curve.json) were made by this script at commit 3a4bc539. On one core: 1.5 hours of films, half an hour of
-labels; an MLP sees 1,000 windows a second, PointNet 450.
+Test films are forecast only when every network has been trained with every seed. On one core: 1.5 hours of films, half an hour of
+labels; an MLP sees 1,000 windows a second, PointNet 450. The records of paper.json, paper_anywhere.json and paper_curve.json were
+made by the script of commit b5e40830, with its measures, its remedies and its learning curves.
 
 Source: Antonova et al. 2021, section 6 and figure 4. Taught in chapter 15.
 """
@@ -27,7 +26,7 @@ import hashlib
 import json
 import math
 from collections.abc import Iterator, Sequence
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 from functools import cached_property, lru_cache
 from pathlib import Path
 from typing import Any, Self
@@ -35,10 +34,9 @@ from typing import Any, Self
 import numpy as np
 import pandas as pd
 import torch
-from _paper_networks import AnyConfig
-from _paper_tables import MEASURES, lost, table_of
-from _paper_windows import GIVEN, LabelledScenes, Remedied, blind
-from forecasts import HORIZONS, Forecaster, kinds_of, measure, of_stream, of_windows, spread_windows, turned
+from _paper_networks import AnyConfig, blind
+from _paper_tables import MEASURES, table_of
+from forecasts import HORIZONS, Forecaster, measure, of_stream, of_windows, spread_windows, turned
 from numpy.typing import NDArray
 from tables import write_results
 
@@ -86,12 +84,6 @@ class Asked:
     films: int = 0  #: to train on; 0 where there are none of the experiment
     seed: int = 0
     checkpoint: Path | None = None  #: of a network or of Motion
-    garments: tuple[str, ...] = ()  #: those that it is asked about; all of them where none is named
-
-    @property
-    def row(self) -> str:
-        """Return the name that it has in the tables: those that were trained without some garments are one row of their kind."""
-        return f"{self.name.split('_')[0]}_unknown" if self.garments else self.name
 
     @property
     def file(self) -> str:
@@ -120,36 +112,16 @@ class Experiment:
     @property
     def is_decided(self) -> bool:
         """Return whether all trainings that the claims are about have ended."""
-        tests = self.protocol["tests"]
-        networks = self.protocol["networks"]
-        wanted = [self.claimed(name) for name in networks if any(self.is_tested(name, mesh) for mesh in tests)]
-        return all(set(seeds) <= self.ended(network, films).keys() for network, films, seeds in wanted)
-
-    def is_tested(self, name: str, mesh: str) -> bool:
-        """Return whether a forecaster is asked about some test films. All are measured on the validation films.
-
-        Where the films do not say whom they ask, all are asked but the networks that are not `tested`.
-        """
-        described = self.protocol["tests"][mesh]
-        if "asked" in described:
-            return name in described["asked"]
-        return bool(self.described(name)["tested"])
+        films = self.protocol["training_films"]
+        seeds = set(self.protocol["seeds"])
+        return all(seeds <= self.ended(network, films).keys() for network in self.protocol["networks"])
 
     def described(self, network: str) -> dict[str, Any]:
-        """Return what the protocol says of a network; a checkpoint of data_small is a Motion."""
-        of_all = {"films": self.protocol["training_films"], "seeds": self.protocol["seeds"], "held_out": ()}
-        of_all |= {"frame": "room", "given": (), "options": {}, "loss": {}, "labels": False, "tested": True}
-        of_all["points"] = 0  # on which the loops to learn were tracked; 0 for all vertices
-        return of_all | self.protocol["networks"].get(network, {"model": "motion"})
+        """Return what the protocol says of a network; a checkpoint of data_small is a Motion.
 
-    def held_out(self, network: str) -> tuple[str, ...]:
-        """Return the garments that a network is trained without."""
-        return tuple(self.described(network)["held_out"])
-
-    def claimed(self, network: str) -> tuple[str, int, list[int]]:
-        """Return a network, and the number of films and the seeds of those of its trainings that the claims are about."""
-        described = self.described(network)
-        return network, described["films"], described["seeds"]
+        Its `points` are those on which the loops to learn were tracked, 0 for all vertices.
+        """
+        return {"options": {}, "loss": {}, "points": 0, **self.protocol["networks"].get(network, {"model": "motion"})}
 
     # ------------------------------------------------------------------------------------------------------- films and labels
 
@@ -179,8 +151,7 @@ class Experiment:
             folder = self.generate(described, described["episodes"], f"test_{mesh}").folder
             label_dataset(folder, n_workers=self.workers)
             for points in self.shown_points:
-                if self.is_tested(f"seqph_{points}_points", mesh):
-                    label_dataset(folder, "observed", n_points=points, n_workers=self.workers)
+                label_dataset(folder, "observed", n_points=points, n_workers=self.workers)
 
     @cached_property
     def shown_points(self) -> tuple[int, ...]:
@@ -194,14 +165,9 @@ class Experiment:
 
     # -------------------------------------------------------------------------------------------------------------- trainings
 
-    def training_films(self, films: int, held_out: Sequence[str] = ()) -> tuple[NDArray[np.int64], NDArray[np.int64]]:
-        """Return the numbers of the films of a size, and of the validation films; sizes are nested.
-
-        There are none of the garments that are held out.
-        """
-        dataset = Dataset(self.folder / "films")
-        known = dataset.labelled("full")
-        known = known[[dataset.record(number).garment not in held_out for number in known.tolist()]]
+    def training_films(self, films: int) -> tuple[NDArray[np.int64], NDArray[np.int64]]:
+        """Return the numbers of the films of a size, and of the validation films; sizes are nested."""
+        known = Dataset(self.folder / "films").labelled("full")
         first = self.protocol["films"]["validation"]
         chosen = known[known >= first][:films]
         if len(chosen) < films:
@@ -217,7 +183,7 @@ class Experiment:
         """Train a network, or go on with it, or return what it reached."""
         out = self.folder / "trainings" / f"{network}-{films}-{seed}-{rate:g}-{epochs}"
         if not (out / SUMMARY).exists():
-            chosen, validation = self.training_films(films, self.held_out(network))
+            chosen, validation = self.training_films(films)
             checksum = _checksum(self.folder / "films", chosen)
             config = self.training_config(network, seed, rate, epochs)
             parts = [self.seen_by(network, episodes) for episodes in (chosen, validation)]
@@ -228,39 +194,33 @@ class Experiment:
         print(f"{out.name}: {training.loss:.4f}", flush=True)
         return training
 
-    def seen_by(self, network: str, episodes: NDArray[np.int64]) -> Scenes | Remedied:
-        """Return what a network sees of some films in its training: scenes or windows."""
+    def seen_by(self, network: str, episodes: NDArray[np.int64]) -> Scenes | WindowDataset:
+        """Return what a network sees of some films in its training."""
         described = self.described(network)
         if described["model"] in OF_POINTS:
-            kind = LabelledScenes if described["labels"] else Scenes
-            return kind(Dataset(self.folder / "films"), episodes.tolist())
-        return self.remedied(network, self.windows_of(episodes, described["points"]))
-
-    def remedied(self, network: str, windows: WindowDataset) -> Remedied:
-        """Return windows with the remedies of a network."""
-        described = self.described(network)
-        return Remedied(windows, described["frame"], tuple(described["given"]))
+            return Scenes(Dataset(self.folder / "films"), episodes.tolist())
+        return self.windows_of(episodes, described["points"])
 
     def training_config(self, network: str, seed: int, rate: float, epochs: int) -> TrainConfig:
         """Return the configuration of a training. It is never stopped early: its rate has to fall to the end."""
         described = self.described(network)
         options = described["options"]
-        more = sum(GIVEN[name] for name in described["given"])
         if described["model"] == "mlp":
-            options = {"points": MLP_POINTS + more} | options
-        settings = {
-            "options": options,
-            "loss": described["loss"],
-            "shape": replace(self.shape, points=self.shape.points + more),
-            "batch": self.protocol["batch"],
-            "epochs": epochs,
-            "windows_per_epoch": self.protocol["epoch"],
-            "validation_windows": self.protocol["validation_windows"],
-            "learning_rate": rate,
-        }
-        if described["model"] in OF_POINTS:
-            settings |= {"shape": Shape(points=160), **described.get("training", {})}
-        return AnyConfig(described["model"], seed=seed, patience=epochs, threads=1, **settings)
+            options = {"points": MLP_POINTS} | options
+        return AnyConfig(
+            described["model"],
+            options=options,
+            loss=described["loss"],
+            shape=Shape(points=160) if described["model"] in OF_POINTS else self.shape,
+            batch=self.protocol["batch"],
+            epochs=epochs,
+            windows_per_epoch=self.protocol["epoch"],
+            validation_windows=self.protocol["validation_windows"],
+            learning_rate=rate,
+            seed=seed,
+            patience=epochs,
+            threads=1,
+        )
 
     def rate_of(self, network: str) -> float:
         """Return the rate of the best of some whole trainings, which differ in nothing else.
@@ -296,8 +256,8 @@ class Experiment:
             best = longer
         return best.epochs
 
-    def train_seeds(self, network: str, films: int, seeds: Sequence[int]) -> None:
-        """Train a network with some seeds, at the rate and for the length that were found for it, or for the one it is like.
+    def train_seeds(self, network: str) -> None:
+        """Train a network with all seeds, at the rate and for the length that were found for it, or for the one it is like.
 
         Where the protocol has both, nothing is searched for.
         """
@@ -308,8 +268,8 @@ class Experiment:
         else:
             rate = self.rate_of(described.get("like", network))
             length = self.length_of(described.get("like", network))
-        for seed in seeds:
-            self.train(network, films, seed, rate, length)
+        for seed in self.protocol["seeds"]:
+            self.train(network, self.protocol["training_films"], seed, rate, length)
 
     def ended(self, network: str, films: int) -> dict[int, Trained]:
         """Return for each seed the best of its trainings that have ended, by their validation loss."""
@@ -352,30 +312,23 @@ class Experiment:
             for network in searched:
                 search(network)
         for network in self.networks:
-            self.train_seeds(*self.claimed(network))
+            self.train_seeds(network)
 
     # -------------------------------------------------------------------------------------------------------------- forecasts
 
-    def asked(self, part: str) -> list[Asked]:
-        """Return the forecasters to ask; of the networks those trainings that have ended.
-
-        What is not `tested` is measured on the validation films. So it can be continued, and no test film is seen twice.
-        """
-        most = self.protocol["training_films"]
+    @property
+    def asked(self) -> list[Asked]:
+        """Return the forecasters to ask; of the networks those trainings that have ended."""
+        films = self.protocol["training_films"]
         names = ["seqph", *(f"seqph_{points}_points" for points in self.shown_points), "hold", "carry"]
-        found = [*map(Asked, names), Asked("blind", most), Asked("ridge", most)]
+        found = [*map(Asked, names), Asked("blind", films), Asked("ridge", films)]
         for network in self.networks:
-            _, films, seeds = self.claimed(network)
             for seed, training in sorted(self.ended(network, films).items()):
-                if seed in seeds:
-                    checkpoint = training.folder / "best.safetensors"
-                    found.append(Asked(network, films, seed, checkpoint, self.held_out(network)))
+                if seed in self.protocol["seeds"]:
+                    found.append(Asked(network, films, seed, training.folder / "best.safetensors"))
         for seed, checkpoint in enumerate(self.protocol["motion"]):
-            path = CHECKPOINTS / f"{checkpoint}.safetensors"
-            found += [Asked(name, 0, seed, path) for name in self.protocol.get("tiers", ["motion"])]
-        if part == "validation":
-            return found
-        return [asked for asked in found if self.is_tested(asked.name, part.removeprefix("test_"))]
+            found.append(Asked("motion", 0, seed, CHECKPOINTS / f"{checkpoint}.safetensors"))
+        return found
 
     def forecaster(self, asked: Asked, windows: WindowDataset) -> Forecaster:
         """Return a forecaster; seqPH is asked about the frame itself."""
@@ -388,13 +341,9 @@ class Experiment:
         if asked.name == "ridge":
             return of_windows(Predictor.load(self.ridge(asked.films)).model)
         predictor = Predictor.load(asked.checkpoint)
-        described = self.described(asked.name)
-        if described["model"] not in OF_POINTS:
-            return self.remedied(asked.name, windows).forecaster(predictor.model)
-        exact = HORIZONS
-        if asked.name == "motion_fast" or described["labels"]:
-            exact = ()  # a Motion that learnt how loops move cannot move a cloud
-        return turned(of_stream(predictor, windows, exact), 0)
+        if self.described(asked.name)["model"] in OF_POINTS:
+            return turned(of_stream(predictor, windows, HORIZONS), 0)
+        return of_windows(predictor.model)
 
     def forecast(self) -> None:
         """Measure all forecasters on validation films; on test films only when no training of the claims is missing."""
@@ -413,14 +362,10 @@ class Experiment:
             numbers = [i for i in episodes.tolist() if dataset.record(i).garment in names]
             windows = WindowDataset(dataset, numbers, **options)
             most = self.protocol["windows"]["validation" if part == "validation" else "tests"]
-            of_all = spread_windows(windows, math.ceil(most / len(names)))
-            shown = kinds_of(windows, "garment")[of_all]
-            for asked in self.asked(part):
+            rows = spread_windows(windows, math.ceil(most / len(names)))
+            for asked in self.asked:
                 path = self.folder / "samples" / part / garments / asked.file
                 if path.exists():
-                    continue
-                rows = of_all[np.isin(shown, asked.garments or names)]
-                if not len(rows):
                     continue
                 clean = windows.select(rows)
                 seen = clean
@@ -430,21 +375,21 @@ class Experiment:
                         continue  # of the validation films, which are among those to train on
                     same = WindowDataset(dataset, numbers, n_points=points, labels=f"observed-{points}")
                     seen = same.select(rows)
-                found = {asked.row: [self.forecaster(asked, clean)]}
+                found = {asked.name: [self.forecaster(asked, clean)]}
                 samples = measure(found, clean, seen, HORIZONS, 0, f"{part}, {garments}, {path.stem}")
                 save_samples(path, samples.assign(films=asked.films, seed=asked.seed))
 
     # ------------------------------------------------------------------------------------------------------------------ table
 
     def checksums(self) -> dict[str, Any]:
-        """Return the SHA-256 of the protocol, of the films of each size with their labels, and of those to test on."""
+        """Return the SHA-256 of the protocol, of the films with their labels, and of those to test on."""
         folder = self.folder / "films"
         protocol = hashlib.sha256(json.dumps(self.protocol, sort_keys=True).encode()).hexdigest()
         made_with = {"topokit": topokit.__version__, "torch": torch.__version__, "numpy": np.__version__}
         found: dict[str, Any] = {"made_with": made_with, "protocol": protocol}
         found["validation"] = _checksum(folder, self.training_films(1)[1])
-        for films in sorted({self.claimed(network)[1] for network in self.networks}):
-            found[f"{films} films"] = _checksum(folder, self.training_films(films)[0])
+        films = self.protocol["training_films"]
+        found[f"{films} films"] = _checksum(folder, self.training_films(films)[0])
         for mesh in self.protocol["tests"]:
             test = self.folder / f"test_{mesh}"
             if test.exists():
@@ -454,7 +399,7 @@ class Experiment:
     def samples(self, part: str) -> Iterator[tuple[str, pd.DataFrame]]:
         """Yield the samples of each choice of garments, and of the garments that a choice names."""
         for garments, names in self.protocol["garments"].items():
-            files = [self.folder / "samples" / part / garments / asked.file for asked in self.asked(part)]
+            files = [self.folder / "samples" / part / garments / asked.file for asked in self.asked]
             paths = [path for path in files if path.exists()]
             if not paths:
                 continue
@@ -476,17 +421,11 @@ class Experiment:
         for name, parts in ((f"{out.stem}_validation", validation), (out.stem, tests)):
             tables = []
             claims = {}
-            whole = {}  # the samples of all garments
             for part, mesh in parts.items():
                 for garments, samples in self.samples(part):
-                    if garments == "all":
-                        whole[mesh] = samples
                     table, differences = table_of(samples, protocol["training_films"])
                     tables.append(table.assign(setting=setting, mesh=mesh, garments=garments))
                     claims[f"{garments}, {mesh} mesh"] = differences
-            before, after = protocol.get("lost_between", ("", ""))
-            if {before, after} <= whole.keys():
-                claims[f"{before} films - {after} films"] = lost(whole[before], whole[after])
             if tables:
                 columns = [*KEYS, "share", "low", "high", "films", "windows"]
                 write_rows(out.with_name(f"{name}.csv"), pd.concat(tables)[columns], setting)
