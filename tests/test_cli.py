@@ -186,15 +186,6 @@ def test_what_ends_a_command_is_one_line(error, code, episode, monkeypatch, caps
     assert str(error) in message
 
 
-def test_a_mistake_in_the_code_shows_where(episode, monkeypatch):
-    def broken(*_: object, **__: object) -> None:
-        raise TypeError("unsupported operand")
-
-    monkeypatch.setattr("topokit.seqph.track", broken)
-    with pytest.raises(TypeError, match="unsupported operand"):
-        main(["track", str(episode)])
-
-
 @pytest.mark.parametrize(
     ("package", "use"),
     [

@@ -65,14 +65,6 @@ def test_slow_hands_go_the_same_way_as_fast_ones_and_let_go_of_a_linked_ring():
     assert cKDTree(usual).query(slow)[0].max() < 0.02
 
 
-def test_it_looks_before_it_moves_and_turns_towards_the_arm():
-    servo = Servo()
-    actions = plan(servo, seen(ring(60, centre=(0, -0.6, 1.25)), HANDS, Hook(yaw=30.0)), 9)
-    assert not np.any(actions[:5])
-    assert angle(np.eye(3)[0], servo.goals[1] - servo.goals[0]) > 1
-    assert actions[-1][6] == 0
-
-
 def test_it_hangs_the_loop_that_bears():
     servo = Servo()
     rings = np.concatenate([ring(60, 0.1, (0, 0, 1.3)), ring(60, 0.15, (0, 0, 0.8))])

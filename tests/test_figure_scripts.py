@@ -343,7 +343,7 @@ def test_mixtures_are_topokits():
 
 # ---- links
 
-LINK = """([a, b]) => ({ sum: linkingSum(a, b), gap: gapOf(a, b),
+LINK = """([a, b]) => ({ sum: linkingSum(a, b),
   crossings: crossingsOf(a, b).map(({ place, sign, over }) => [...place, sign, over ? 1 : 0]) })"""
 
 
@@ -355,12 +355,11 @@ def curves() -> list[tuple[np.ndarray, np.ndarray]]:
     return tangles + [(RING @ turn.T + HOOK[int(k)] + 0.2, close_far(HOOK)) for turn, k in turns]
 
 
-def test_curves_are_linked_as_by_topokit_and_their_distance_is_measured():
+def test_curves_are_linked_as_by_topokit():
     pairs = curves()
     numbers = set()
-    share = np.arange(40)[:, None, None] / 40
     given = [[a.tolist(), b.tolist()] for a, b in pairs]
-    for k, ((a, b), answer) in enumerate(zip(pairs, by_script(["link.js"], LINK, given), strict=True)):
+    for (a, b), answer in zip(pairs, by_script(["link.js"], LINK, given), strict=True):
         number = linking_number(a, b)
         assert answer["sum"] == pytest.approx(number, abs=1e-6)
         crossings = np.array(answer["crossings"]).reshape(-1, 4)
@@ -368,7 +367,4 @@ def test_curves_are_linked_as_by_topokit_and_their_distance_is_measured():
         over = crossings[:, 3]
         assert (sign @ over, sign @ (1 - over)) == (number, number)
         numbers.add(number)
-        if k < 12:  # a fine grid on both curves is never nearer and hardly farther
-            fine = [(curve + share * (np.roll(curve, -1, 0) - curve)).reshape(-1, 3) for curve in (a, b)]
-            assert answer["gap"] - 1e-9 <= cdist(*fine).min() < answer["gap"] + 0.15
     assert numbers >= {-3, -2, -1, 0, 1, 2, 3}
