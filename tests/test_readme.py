@@ -75,7 +75,7 @@ def test_numbers_of_readme():
     apron = next(entry for entry in entries if (entry["what"], entry["points"]) == ("apron", 1000))
     name, ms = min(apron["peers"].items(), key=lambda peer: peer[1])
     shown = rows["one cloud of an apron, 1,000 points"]
-    assert shown.startswith(f"{_rips_tables.outcome(apron)} | {ms / apron['ms']:.3g} times")
+    assert shown.startswith(f"{_rips_tables.duration(apron['ms'])} | {ms / apron['ms']:.3g} times")
     assert shown.endswith(name)
 
     # Loops that are tracked and forecast, by two measures, and garments that hang.

@@ -66,15 +66,6 @@ def small_clouds(count: int, n: int = 128) -> list[Cloud]:
     return [cloud(shapes[k % len(shapes)], n, seed=k) for k in range(count)]
 
 
-def plans(count: int, n: int = 500) -> list[Cloud]:
-    """Return one scene under many plans: the apron, each time bent by a slow wave, 2 mm at most."""
-    rng = np.random.default_rng(0)
-    points = apron(n, rng)
-    ways = rng.normal(size=(count, 3, 3)) * 5  # radians a metre
-    phases = 2 * np.pi * rng.random((count, 1, 3))
-    return list(points + 0.002 * np.sin(points @ ways + phases))
-
-
 def rotations(n: int = 1024) -> Cloud:
     """Draw random rotations of space, as points in nine dimensions."""
     return Rotation.random(n, random_state=0).as_matrix().reshape(n, 9)
@@ -87,15 +78,6 @@ def projective_plane(n: int = 600) -> Cloud:
     angles = (angles + angles.T) / 2
     np.fill_diagonal(angles, 0)
     return angles
-
-
-def in_dimension(axes: int, n: int = 500) -> Cloud:
-    """Return a torus of four circles at most, turned into a space of more dimensions, with a little noise."""
-    rng = np.random.default_rng(0)
-    angles = 2 * np.pi * rng.random((n, min(2, axes // 2)))
-    flat = np.hstack([np.cos(angles), np.sin(angles)])
-    turned, _ = np.linalg.qr(rng.normal(size=(axes, axes)))
-    return flat @ turned[: flat.shape[1]] + 0.02 * rng.normal(size=(n, axes))
 
 
 def film(n: int, frames: int) -> list[Cloud]:

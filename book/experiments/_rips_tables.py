@@ -15,7 +15,7 @@ Entry = dict[str, Any]
 
 def line(e: Entry) -> str:
     """Return an entry as a line of text."""
-    return f"{e['what']:>44} {sizes(e):>26} {outcome(e):>12}  {beside(e)}"
+    return f"{e['what']:>44} {sizes(e):>26} {duration(e['ms']):>12}  {beside(e)}"
 
 
 def machine() -> Entry:
@@ -32,16 +32,19 @@ def machine() -> Entry:
     }
 
 
+def known_rows(path: Path) -> Entry:
+    """Return the rows of a file, unless it is from another machine or other versions."""
+    if not path.exists():
+        return {}
+    old = json.loads(path.read_text())
+    return old["rows"] if old["machine"] == machine() else {}
+
+
 def store(path: Path, name: str, entries: list[Entry], command: str) -> None:
     """Put a row into the file. Rows from another machine or other versions do not stay beside it."""
-    here = machine()
-    rows = {}
-    if path.exists():
-        old = json.loads(path.read_text())
-        if old["machine"] == here:
-            rows = old["rows"]
-    rows[name] = {"command": command, "date": dt.date.today().isoformat(), "entries": entries}
-    text = json.dumps({"machine": here, "rows": rows}, indent=1)
+    row = {"command": command, "date": dt.date.today().isoformat(), "entries": entries}
+    rows = known_rows(path) | {name: row}
+    text = json.dumps({"machine": machine(), "rows": rows}, indent=1)
     path.write_text(text + "\n")
 
 
@@ -49,49 +52,77 @@ def rounded(value: Any) -> Any:
     """Round to four digits, which are more than a run repeats."""
     if isinstance(value, dict):
         return {key: rounded(part) for key, part in value.items()}
+    if isinstance(value, list):
+        return [rounded(part) for part in value]
     return float(f"{value:.4g}") if isinstance(value, float) else value
 
 
 def tables(results: Entry) -> str:
-    """Return the tables of the page: single clouds against peers, and every entry of the other rows."""
+    """Return the tables of the page: single clouds against peers, those where a peer is ahead, and the other rows."""
     where = results["machine"]
     rows = results["rows"]
     versions = where["versions"]
     shown = [e for e in rows["single"]["entries"] if e["points"] <= 1000]
-    names = [name for name in _rips_peers.NAMES if any(name in e["peers"] for e in shown)]
-    date = rows["single"]["date"]
     named = ", ".join(f"{package} {versions[package]}" for package in versions if package not in ("numpy", "scipy"))
-    text = [
-        "The time for one cloud, killers included, and how many times as long its peers take, on one core",
-        f"({where['processor']}, {date}; `{rows['single']['command']}`, after `pip install --group bench`: {named}):",
-        "",
-        f"| cloud | points | topokit | {' | '.join(names)} |",
-        "|---|---|---|" + "---|" * len(names),
-    ]
-    for e in shown:
-        ratios = [f"{e['peers'][name] / e['ms']:.3g}" if name in e["peers"] else "" for name in names]
-        text.append(f"| {e['what']} | {e['points']:,} | {outcome(e)} | {' | '.join(ratios)} |")
-    text += ["", "The other rows of the benchmark:", "", "| work | size | topokit | beside it |", "|---|---|---|---|"]
-    others = [e for name, row in rows.items() if name != "single" for e in row["entries"]]
-    text += [f"| {e['what']} | {sizes(e)} | {outcome(e)} | {beside(e)} |" for e in others]
-    return "\n".join(text)
+    others = [e for name, row in rows.items() if name not in ("single", "small") for e in row["entries"]]
+    return "\n".join(
+        [
+            "The time for one cloud, killers included, and how many times as long its peers take, on one core",
+            f"({where['processor']}, {rows['single']['date']}; `{rows['single']['command']}`, after",
+            f"`pip install --group bench gudhi==3.14a2`: {named}):",
+            "",
+            *against_peers(shown),
+            "",
+            words([e for row in rows.values() for e in row["entries"]]),
+            "",
+            *(against_peers(rows["small"]["entries"]) if "small" in rows else []),
+            "",
+            "The other rows of the benchmark:",
+            "",
+            "| work | size | topokit | beside it |",
+            "|---|---|---|---|",
+            *[f"| {e['what']} | {sizes(e)} | {duration(e['ms'])} | {beside(e)} |" for e in others],
+        ]
+    )
+
+
+def against_peers(entries: list[Entry]) -> list[str]:
+    """Return a table of clouds and peers. A ratio below 1, where the peer is ahead, is bold."""
+    names = [name for name in _rips_peers.NAMES if any(name in e["peers"] for e in entries)]
+    text = [f"| cloud | points | topokit | {' | '.join(names)} |", "|---|---|---|" + "---|" * len(names)]
+    for e in entries:
+        ratios = [e["peers"].get(name, float("nan")) / e["ms"] for name in names]
+        cells = [f"**{r:.3g}**" if r < 1 else f"{r:.3g}" if r == r else "" for r in ratios]
+        text.append(f"| {e['what']} | {e['points']:,} | {duration(e['ms'])} | {' | '.join(cells)} |")
+    return text
+
+
+def words(entries: list[Entry]) -> str:
+    """Return in words where a peer is ahead, in any row."""
+    text = ["Where a peer is ahead its number is below 1, in bold."]
+    for name in _rips_peers.NAMES:
+        points: dict[str, list[str]] = {}
+        for e in entries:
+            if e.get("peers", {}).get(name, float("inf")) < e["ms"]:
+                points.setdefault(e["what"], []).append(f"{e['points']:,}")
+        if points:
+            clouds = [f"{what} of {', '.join(numbers)} points" for what, numbers in points.items()]
+            text.append(f"{name} is faster on {'; '.join(clouds)}.")
+    return " ".join(text)
 
 
 def sizes(e: Entry) -> str:
-    """Return how many clouds and points an entry is about."""
-    return " of ".join(f"{e[key]:,} {key}" for key in ("clouds", "points") if key in e)
-
-
-def outcome(e: Entry) -> str:
-    """Return the time that topokit took."""
-    return duration(e["ms"])
+    """Return how many plans, clouds and points an entry is about."""
+    return " of ".join(f"{e[key]:,} {key}" for key in ("plans", "clouds", "points") if key in e)
 
 
 def beside(e: Entry) -> str:
     """Return what is measured beside the time."""
     parts = [f"{name} {ms / e['ms']:.3g} times" for name, ms in e.get("peers", {}).items()]
-    parts += [text.format(duration(e[key])) for key, text in BESIDE.items() if e.get(key)]
-    parts += [f"{1e3 * e['clouds'] / e['ms']:,.0f} clouds a second"] if "clouds" in e else []
+    parts += [
+        text.format(duration(e[key]) if key.endswith("_ms") else e[key]) for key, text in BESIDE.items() if key in e
+    ]
+    parts += [f"{1e3 * e['clouds'] / e['ms']:,.0f} clouds a second"] if "one_by_one_ms" in e else []
     return ", ".join(parts)
 
 
@@ -101,8 +132,13 @@ def duration(ms: float) -> str:
 
 
 BESIDE = {
+    "power": "from 500 points on the time grows with their power {:.2f}",
     "one_by_one_ms": "one by one {}",
-    "processor_ms": "of which processor {}",
     "cached_ms": "the next time {}",
+    "compiled_ms": "with the engine compiled before {}",
+    "slow_frames": "after {} frames of more than 50 ms",
+    "slow_seconds": "which take {:.3g} s",
+    "longest_ms": "the longest {}",
     "persistence_ms": "of which persistence {}",
+    "products_ms": "of which matrix products {}",
 }

@@ -4,8 +4,8 @@
 
 Forecasts: 60 steps from the recorded apron, by freshly drawn weights, which cost what trained ones do.
 *observe* takes in the next frame; *one plan* is everything after that until the 60 states are there; *plans* is the same for
-many plans at once; *exact* is one plan with the loops sought anew in the moved cloud, 1, 15, 30 and 60 frames ahead. Beside it:
-the loops of that frame by seqPH and by GUDHI. Times are of the processor (one core, one thread), medians of `--repeat`.
+many plans at once. Beside it: the loops of that frame by seqPH and by GUDHI. Times are of the processor (one core, one thread),
+medians of `--repeat`.
 """
 
 import argparse
@@ -16,7 +16,6 @@ import statistics
 import sys
 import time
 from collections.abc import Callable
-from functools import partial
 from importlib.util import find_spec
 from pathlib import Path
 from typing import Any
@@ -31,9 +30,11 @@ import topokit as tk
 from topokit.io import load_episode
 from topokit.models import Predictor, TrainConfig, build
 
+from _rips_peers import gudhi_collapsed
+
 ROOT = Path(__file__).parents[2]
 EPISODE = ROOT / "data_small" / "apron_hook_0.npz"
-NETWORKS = ("mlp", "pointnet", "motion")
+NETWORKS = ("mlp", "pointnet")  # those of the paper; rips.py times plans by Motion
 Times = dict[str, float]
 
 
@@ -54,51 +55,41 @@ def timed(function: Callable[[], object], repeat: int, before: Callable[[], obje
     return {"ms": round(statistics.median(spent[1:]), 3)}
 
 
-def forecasts(predictor: Predictor, plans: int, repeat: int) -> dict[str, Times]:
-    """Return the times of observing, of one plan, and of many."""
+def watch(predictor: Predictor, plans: int) -> tuple[Any, Any]:
+    """Let a predictor observe the recorded apron; return the plan (60, 2, 3) from there, and many (plans, 60, 2, 3) about it."""
     episode = load_episode(EPISODE)
     for t in range(25, 41):
         predictor.observe(episode.observed[t], episode.grippers[t], target=episode.centre_line)
     actions = np.asarray(episode.actions[np.minimum(np.arange(41, 101), len(episode) - 1)])
     rng = np.random.default_rng(0)
-    many = actions + rng.normal(0, 0.02, (plans, 60, 2, 3)).astype(np.float32)
+    return actions, actions + rng.normal(0, 0.02, (plans, 60, 2, 3)).astype(np.float32)
+
+
+def forecasts(predictor: Predictor, plans: int, repeat: int) -> dict[str, Times]:
+    """Return the times of observing, of one plan, and of many."""
+    episode = load_episode(EPISODE)
+    actions, many = watch(predictor, plans)
 
     def observe() -> None:
         predictor.observe(episode.observed[40], episode.grippers[40])
 
-    def prepare() -> None:
-        observe()
-        if hasattr(predictor, "track"):
-            predictor.track()
-
-    # What is encoded once a frame is a part of one plan's time, so a new frame is taken in before each. Tracking is not.
-    found = {
+    # What is encoded once a frame is a part of one plan's time, so a new frame is taken in before each.
+    return {
         "observe": timed(observe, repeat),
-        "one plan": timed(lambda: predictor.predict(actions), repeat, before=prepare),
+        "one plan": timed(lambda: predictor.predict(actions), repeat, before=observe),
         f"{plans} plans": timed(lambda: predictor.predict(many), max(5, repeat // 4)),
     }
-    if hasattr(predictor, "move"):
-        exact = partial(predictor.predict, actions, exact=(1, 15, 30, 60))
-        found["exact at four"] = timed(exact, repeat, before=prepare)
-    return found
 
 
 def topology(repeat: int) -> dict[str, Times]:
     """Time the same frame by seqPH, and by GUDHI where it is installed."""
+    tk.rips_persistence(np.random.default_rng(0).random((6000, 2)))  # it waits for the compiled engine
     points = load_episode(EPISODE).observed[39:41].astype(float)
     tracker = tk.SeqPH()
     tracker.update(points[0])
     found: dict[str, Callable[[], object]] = {"seqPH": lambda: tracker.update(points[1])}
     if find_spec("gudhi"):
-        import gudhi
-
-        def edge_collapse() -> None:
-            tree = gudhi.RipsComplex(points=points[1]).create_simplex_tree(max_dimension=1)
-            tree.collapse_edges()
-            tree.expansion(2)
-            tree.persistence(homology_coeff_field=2)
-
-        found["GUDHI"] = edge_collapse
+        found["GUDHI"] = lambda: gudhi_collapsed(points[1], False)
     return {name: timed(function, max(5, repeat // 4)) for name, function in found.items()}
 
 
