@@ -74,7 +74,7 @@ def table_of(samples: pd.DataFrame, films: int) -> tuple[pd.DataFrame, dict[str,
 def differences(shares: pd.DataFrame, films: int) -> dict[str, Any]:
     """Return the differences that the claims are about, in points: mean, low and high, by horizon.
 
-    Networks are those trained on `films` films; a Motion has one number of films. `later` is the mean of t+15, t+30 and t+60.
+    Networks are those trained on `films` films; a Motion has one number of films.
     """
     models = {}
     for model in shares.columns.unique(0):
@@ -94,6 +94,5 @@ def differences(shares: pd.DataFrame, films: int) -> dict[str, Any]:
 def _in_points(differences: pd.DataFrame) -> dict[str, Any]:
     """Return the mean, low and high of drawn differences of shares, in points, by horizon."""
     points = 100 * differences
-    points["later"] = points[["15", "30", "60"]].mean(axis=1)
     cells = interval(points).round(2)
     return {step: cells.loc[step].tolist() for step in cells.index}

@@ -233,11 +233,21 @@ class Experiment:
         losses: dict[float, float] = {}
         while wanted:
             for rate in wanted:
-                losses[rate] = self.train(network, how["films"], how["seed"], rate, how["epochs"]).loss
+                losses[rate] = self.loss_at(network, rate)
             best = min(losses, key=losses.__getitem__)
             row = rates.index(best)
             wanted = [rate for rate in rates[max(row - 1, 0) : row + 2] if rate not in losses]
         return best
+
+    def loss_at(self, network: str, rate: float) -> float:
+        """Return the loss of a whole training at a rate; infinity where it was not finite any more."""
+        how = self.protocol["rates_of"]
+        try:
+            return self.train(network, how["films"], how["seed"], rate, how["epochs"]).loss
+        except ValueError as error:
+            if "lower learning_rate" not in str(error):
+                raise
+            return math.inf
 
     def length_of(self, network: str) -> int:
         """Return the epochs of a training that is no worse than one of twice the length.
