@@ -58,7 +58,7 @@
   let counts = [0, 0];
   function drawScene() {
     const [g, w, h] = start(scene), { scale, to } = frame(w, h), flat = points.map(onto(points)), S = flat.map(to), zoom = eye?.cam.zoom ?? 1;
-    const stroke = (ids, style, width, close = false) => trace(g, ids.map((v) => S[v]), style, width, { close });
+    const stroke = (ids, style, width, close = false, dash = []) => trace(g, ids.map((v) => S[v]), style, width, { close, dash });
     // One path for many triangles, all turned the same way so that none cuts a hole into another; not one for all,
     // since a browser takes time for what overlaps.
     let turned = 0;
@@ -89,7 +89,7 @@
       if (radius < loop.death) {
         const [first] = loop.cycle, cycle = loop.cycle;
         if (loop.strong) stroke(cycle, css("--panel"), 6, true);
-        stroke(cycle, ink, 3 * weight, true);
+        stroke(cycle, ink, 3 * weight, true, loop.colour % 2 ? [2, 7] : []); // neighbours differ by more than their colour
         stroke([first, cycle[cycle.length - 1]], ink, just(loop.birth) ? 8 : 5.5 * weight);
       } else {
         const flash = just(loop.death), tint = fade(ink, flash ? 0.8 : loop.strong ? 0.42 : 0.2);

@@ -42,8 +42,8 @@
     const [g, X, Y] = axes(diagram, high, high, "diagram: death against birth (mm)", "birth");
     pen(g, css("--soft"), 1.2);
     line(g, X(0), Y(0), X(high), Y(high));
-    const lines = [[1000 * threshold(), follows() ? "\u03b1 = covering radius" : "\u03b1", css("--ink"), []]];
-    if (!follows()) lines.push([1000 * radius(), "covering radius", css("--soft"), [4, 4]]);
+    const lines = [[1000 * threshold(), follows() ? "\u03b1 = covering radius" : "\u03b1", css("--ink"), [7, 4]]];
+    if (!follows()) lines.push([1000 * radius(), "covering radius", css("--soft"), [2, 4]]);
     for (const i of [...found.births.keys()].reverse()) {
       const counts = counted.includes(i);
       dot(g, [X(1000 * found.births[i]), Y(1000 * found.deaths[i])], counts ? 5.5 : 3, counts ? ink(i) : css("--soft"), css("--panel"), 1);
