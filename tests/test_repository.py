@@ -62,10 +62,10 @@ def test_versions_agree():
 LAYERS = [
     {"_validate", "_archive", "_cores", "_lazy", "_geometry", "_processes", "_config"},
     {"sampling", "linking", "rips"},
-    {"mixture"},
     {"seqph"},
-    {"sensors"},
+    {"mixture"},
     {"io"},
+    {"sensors"},
     {"lemmas"},
     {"sim"},
     {"data"},
