@@ -12,7 +12,12 @@ BIN := $(VENV)/bin
 export PYTHONHASHSEED = 0
 export PIP_DISABLE_PIP_VERSION_CHECK = 1
 # The packages of a dependency group of pyproject.toml.
-group = $(shell $(PYTHON) -c 'import tomllib; print(*tomllib.load(open("pyproject.toml", "rb"))["dependency-groups"]["$(1)"])')
+group = $(shell $(or $(PYTHON),false) -c 'import tomllib; print(*tomllib.load(open("pyproject.toml", "rb"))["dependency-groups"]["$(1)"])')
+
+define need_311
+@$(or $(PYTHON),false) $(IS_311) 2>/dev/null || { echo "topokit: needs Python 3.11$(if $(PYTHON), and '$(PYTHON)' is not that):\
+ install it, or name it (make PYTHON=/path/to/python3.11 ...), or for other versions: conda env create -f environment.yml" >&2; exit 1; }
+endef
 
 .PHONY: help book pdf check-book test lint lab env clean
 .DEFAULT_GOAL := help
@@ -25,8 +30,7 @@ help:
 PIP_LOCKED = $(BIN)/python -m pip install --quiet --require-hashes --no-deps
 env: $(VENV)/ready
 $(VENV)/ready: requirements.txt requirements-torch.txt pyproject.toml
-	@$(or $(PYTHON),false) $(IS_311) 2>/dev/null || { echo "topokit: needs Python 3.11$(if $(PYTHON), and '$(PYTHON)' is not that):\
-	 install it, or name it (make PYTHON=/path/to/python3.11 ...), or for other versions: conda env create -f environment.yml" >&2; exit 1; }
+	$(need_311)
 	@echo "topokit: making the environment in $(VENV) (a few minutes, once)"
 	@$(PYTHON) -m venv --clear $(VENV)
 	@sed '/^# make lab/,$$d' requirements.txt >$(VENV)/lock.txt
@@ -51,6 +55,7 @@ pdf: book
 # The system's own Chromium, driven by Playwright: no browser is fetched.
 BROWSER := .venv-browser
 $(BROWSER)/ready: pyproject.toml
+	$(need_311)
 	$(PYTHON) -m venv --clear $(BROWSER)
 	$(BROWSER)/bin/python -m pip install --quiet $(call group,browser)
 	@touch $@
@@ -76,7 +81,7 @@ $(VENV)/lab: $(VENV)/ready
 
 lab: $(VENV)/lab
 	@$(BIN)/python book/lab.py
-	$(BIN)/jupyter lab --ServerApp.root_dir=$(CURDIR)/runs/lab --LabApp.default_url=/lab/tree/$(firstword $(sort $(wildcard notebooks/*.ipynb)))
+	$(BIN)/jupyter lab $(if $(filter 0,$(shell id -u)),--allow-root) --ServerApp.root_dir=$(CURDIR)/runs/lab --LabApp.default_url=/lab/tree/$(firstword $(sort $(wildcard notebooks/*.ipynb)))
 
 clean:
 	rm -rf .venv .venv-* _build build dist .pytest_cache .ruff_cache .mypy_cache .hypothesis *.egg-info
