@@ -54,7 +54,7 @@
     const [a, b] = [Math.min(110, (w - x0 - 10) / Math.max(1, columns)), Math.min(44, (h - y0 - 8) / Math.max(1, rows))];
     g.textBaseline = "middle";
     g.fillStyle = css("--soft");
-    g.fillText("cost in cm: loops now \u00d7 one frame before", 10, 14);
+    g.fillText("cost in cm: loops now \u00d7 one frame before", 10, 14, w - 20);
     const label = (name, x, y) => {
       dot(g, [x - 10, y], 5, colour(name));
       g.fillStyle = css("--ink");

@@ -35,11 +35,11 @@
     edge(killers.then.subarray(2 * (a * nE + e), 2 * (a * nE + e) + 2), share, blue(), 3, [8, 6]);
   }
   function drawTable() {
-    const [g, w, h] = start(table), left = Math.min(170, 0.42 * w), wide = (w - left - 8) / nV, high = (h - 52) / nS;
+    const [g, w, h] = start(table), left = Math.min(154, 0.4 * w), wide = (w - left - 8) / nV, high = (h - 52) / nS;
     g.textBaseline = "middle";
     g.fillStyle = css("--soft");
     g.fillText("verdict on each lemma, in this step", 10, 14);
-    versions.forEach((name, v) => g.fillText(name, left + v * wide + 4, 38));
+    versions.forEach((name, v) => g.fillText(name, left + v * wide + 4, 38, wide - 12));
     table.row = (y) => Math.floor((y - 50) / high);
     statements.forEach((name, s) => {
       const y = 50 + (s + 0.5) * high;
@@ -65,7 +65,7 @@
     const all = useful.flat().flatMap(({ both }) => both), high = 1.12 * Math.max(0.01, ...all), wide = values.at(-1) || 1;
     const [g, X, Y, box] = axes(strip, 100 * wide, 100 * high, `${statements[statement]}: bounds (lines), measured (dots), cm`, alongMotion() ? "\u03b5, cm" : "\u03b1, cm");
     useful.forEach((rows, v) => {
-      trace(g, rows.map(({ k, both }) => [X(100 * values[k]), Y(100 * both[1])]), inks()[v], 2, { dash: v === 2 ? [6, 4] : [] });
+      trace(g, rows.map(({ k, both }) => [X(100 * values[k]), Y(100 * both[1])]), inks()[v], 2, { dash: [[], [2, 5], [6, 4]][v] });
       rows.forEach(({ k, both }) => {
         dot(g, [X(100 * values[k]), Y(100 * both[1])], 2.5, inks()[v]);
         dot(g, [X(100 * values[k]), Y(100 * both[0])], 3.5, css("--ink"));
