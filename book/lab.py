@@ -92,6 +92,7 @@ def plain(source: str, names: Names, file: str = "") -> str:
     text = source.replace(OUTSIDE, "")
     while _FENCE.search(text):
         text = _FENCE.sub(lambda match: _box(*match.groups()[1:]), text)
+    text = text.replace("</summary>", " (click to open)</summary>")  # the mark before it is not seen everywhere
     text = _IMAGE.sub(lambda match: f"![{_option(match[2], 'alt')}]({match[1]})", text)
     text = _TAGGED.sub(lambda match: f"$${match[1].rstrip()} \\tag{{{match[2]}}} $$", text)
     return _ROLE_OR_CODE.sub(lambda match: _role(match[1], match[2], names, file) if match[1] else match[0], text)
