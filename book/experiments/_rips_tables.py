@@ -132,7 +132,7 @@ def duration(ms: float) -> str:
 
 
 BESIDE = {
-    "power": "from 500 points on the time grows with their power {:.2f}",
+    "power": "the time grows as the points to the power {:.2f}, from 500 on",
     "one_by_one_ms": "one by one {}",
     "cached_ms": "the next time {}",
     "compiled_ms": "with the engine compiled before {}",
