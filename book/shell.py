@@ -16,6 +16,7 @@ import uuid
 from pathlib import Path
 from typing import Any
 
+import tomllib
 from cards import TOPICS, is_chapter, label, thumbnail
 from docutils import nodes
 from docutils.parsers.rst import Directive
@@ -225,12 +226,20 @@ def _head(app: Any, pagename: str, templatename: str, context: dict[str, Any], d
     about = dict(TOPICS.findall((ROOT / "book" / "chapters.md").read_text(encoding="utf-8"))).get(pagename, DESCRIPTION)
     # An ARIA list must have ARIA items, which docutils does not write here.
     context["body"] = context.get("body", "").replace('role="list" class="citation-list"', 'class="citation-list"')
-    context["metatags"] = context.get("metatags", "") + f'<meta name="description" content="{html.escape(about)}">\n'
+    tags = [f'<meta name="description" content="{html.escape(about)}">']
+    tags += [f'<meta property="og:{key}" content="{html.escape(value)}">' for key, value in _card(app, about).items()]
+    context["metatags"] = context.get("metatags", "") + "\n".join(tags) + "\n"
     if pagename == app.config.root_doc:
         context["title"] = "the loops of cloth, found and followed"
     if pagename == "search":
         for script in ("texts.js", "search_here.js"):
             app.add_js_file(script)
+
+
+def _card(app: Any, about: str) -> dict[str, str]:
+    """Return what other sites show where somebody links to a page."""
+    site = tomllib.loads((ROOT / "pyproject.toml").read_text(encoding="utf-8"))["project"]["urls"]["Documentation"]
+    return {"site_name": app.config.project, "description": about, "image": f"{site}/_static/apron.png"}
 
 
 def _finish(app: Any, error: Exception | None) -> None:
