@@ -42,8 +42,8 @@ def player(
     show_truth : bool
         Show the garment's true loops at first; the reader can turn them on and off.
     film : bool
-        Leave out the charts and play in a loop until the reader stops it. It does not start by itself when the reader's
-        system is set to reduced motion.
+        Leave out the charts, show points until the reader asks for the cloth, and play in a loop until the reader stops it.
+        It does not start by itself when the reader's system is set to reduced motion.
     """
     if len(states) != len(episode):
         raise ValueError(f"states has {len(states)} frames where episode has {len(episode)}; track the same episode")

@@ -81,7 +81,7 @@ function cloth({ frames, centre, radius, marks: lines }, a, eye) { // a: unpacke
     g.fillRect(-1, -1, 2, 2);
     g.restore();
   }
-  function draw(g, w, h, frame) { // all but what stands in front: items to be sorted by depth, and where a point is seen
+  function draw(g, w, h, frame, surface = true) { // all but what stands in front: items to be sorted by depth, and where a point is seen
     fit = fit || measure(w, h);
     const see = eye.see(centre), q = [0, 0, 0], size = fit.scale * eye.cam.zoom, far = 5 * radius;
     const place = (p, i) => {
@@ -96,11 +96,12 @@ function cloth({ frames, centre, radius, marks: lines }, a, eye) { // a: unpacke
       S[2 * i + 1] = s[1];
     }
     const items = [];
-    if (F) dye();
+    const shown = surface ? F : 0;
+    if (shown) dye();
     if (floor && N && eye.cam.el > 0) drawShadow(g, place, frame);
     const thin = clamp(0.005 * radius * size, 0.7, 3);
     normal.fill(0);
-    for (let f = 0; f < F; f++) {
+    for (let f = 0; f < shown; f++) {
       const [i, j, k] = a.faces.subarray(3 * f, 3 * f + 3);
       const [e, d] = [0, 1].map((s) => [0, 1, 2].map((c) => V[3 * (s ? k : j) + c] - V[3 * i + c]));
       const n = [e[1] * d[2] - e[2] * d[1], e[2] * d[0] - e[0] * d[2], e[0] * d[1] - e[1] * d[0]];
@@ -111,7 +112,7 @@ function cloth({ frames, centre, radius, marks: lines }, a, eye) { // a: unpacke
       const length = Math.hypot(normal[i], normal[i + 1], normal[i + 2]) || 1;
       light[i / 3] = (normal[i] * lamp[0] + normal[i + 1] * lamp[1] + normal[i + 2] * lamp[2]) / length;
     }
-    if (!F) for (let i = 0; i < N; i++) items.push([V[3 * i + 2], () => {
+    if (!shown) for (let i = 0; i < N; i++) items.push([V[3 * i + 2], () => {
       g.fillStyle = fade(dark ? "#babac4" : "#5d6b7a", 0.8);
       g.fillRect(S[2 * i] - 1.5, S[2 * i + 1] - 1.5, 3, 3);
     }]);

@@ -19,7 +19,7 @@
   // ---- the cloth ---------------------------------------------------------------------------------------------
   function drawScene() {
     const [g, w, h] = start(scene);
-    const { place, items, S } = body.draw(g, w, h, frame);
+    const { place, items, S } = body.draw(g, w, h, frame, $("cloth").checked);
     const path = (list, close) => {
       g.beginPath();
       list.forEach(([x, y], n) => (n ? g.lineTo(x, y) : g.moveTo(x, y)));
@@ -197,7 +197,7 @@
   // a run shorter than 8 s is shown slowed to 8 s
   const play = playback(() => frame, go, () => frames - 1, Math.max(seconds, 8));
   $("time").oninput = (e) => (play(false), go(+e.target.value));
-  $("truth").onchange = later;
+  $("truth").onchange = $("cloth").onchange = later;
   scrub(strip, (share) => (play(false), go(share * (frames - 1))));
 
   const unbend = bent && bent.hands(scene, later, () => play(false));
@@ -206,6 +206,8 @@
   // ---- start -------------------------------------------------------------------------------------------------
   $("time").max = frames - 1;
   $("truth").checked = data.show_truth;
+  $("cloth").checked = !data.film; // the film begins with the points, which are all that the tracker sees
+  $("cloth").closest("label").hidden = !a.faces.length;
   $("truth").closest("label").hidden = !data.truth.length;
   watch(later, body.refit);
   if (data.film) {
