@@ -13,7 +13,7 @@ from collections.abc import Mapping
 from typing import Any
 
 import torch
-from forecasts import Forecaster
+from forecasts import Forecaster, states_at
 from torch import Tensor, nn
 
 from topokit._config import checked
@@ -200,17 +200,9 @@ def blind(height: float, slots: int) -> Forecaster:
         held = window["actions_held"]
         last_held = torch.where(held, torch.arange(held.shape[1]), 0).cummax(dim=1).values
         middle = window["actions"].mean(dim=2).take_along_dim(last_held[..., None], dim=1)  # (B, K, 3)
-        place = middle - torch.tensor([0.0, 0.0, height])
-        ones = place.new_ones(*place.shape[:2], slots)
-        return StateTensors(
-            corners=place[:, :, None, None].expand(-1, -1, slots, 8, -1),
-            neighbour_values=0.025 * ones[..., None].expand(-1, -1, -1, 4),
-            birth=0.025 * ones,
-            death=0.05 * ones,
-            killer_shift=0.025 * ones,
-            presence=6 * ones,
-            noise=1e-4 * ones,
-        )
+        place = (middle - torch.tensor([0.0, 0.0, height]))[:, :, None].expand(-1, -1, slots, -1)
+        ones = torch.ones_like(place[..., 0])
+        return states_at(place, 6 * ones, 0.025 * ones)
 
     return forecast
 

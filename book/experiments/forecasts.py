@@ -37,6 +37,7 @@ from topokit.evaluate import true_loops
 from topokit.io import save_episode
 from topokit.models import Predictor, StateTensors, build
 from topokit.models._baselines import Shape
+from topokit.models._motion import Motion
 
 Forecaster = Callable[[Mapping[str, Tensor]], StateTensors]
 
@@ -291,7 +292,7 @@ def of_stream(predictor: Any, windows: WindowDataset, steps: Sequence[int]) -> F
     seen = lru_cache(8)(windows.seen)
 
     def forecast(window: Mapping[str, Tensor]) -> StateTensors:
-        turn = window["turn"].double().numpy()
+        turn = np.asarray(window.get("turn", np.eye(3)), np.float64)
         forecasts = []
         for i, (number, frame) in enumerate(zip(window["episode"].tolist(), window["frame"].tolist(), strict=True)):
             clouds, target = seen(number)
@@ -303,6 +304,27 @@ def of_stream(predictor: Any, windows: WindowDataset, steps: Sequence[int]) -> F
         return stack_forecasts(forecasts, windows.slots)
 
     return forecast
+
+
+def of_predictor(predictor: Any, windows: WindowDataset, steps: Sequence[int] = HORIZONS) -> Forecaster:
+    """Return the forecaster of a checkpoint; one that moves points is shown whole clouds, and others the windows."""
+    if isinstance(predictor.model, Motion):
+        return of_stream(predictor, windows, steps)
+    return of_windows(predictor.model)
+
+
+def states_at(place: Tensor, presence: Tensor, lifetime: Tensor) -> StateTensors:
+    """Return states whose loops are points (B, K, S, 3), with logits of presence (B, K, S) and lifetimes (B, K, S), metres."""
+    ones = torch.ones_like(presence)
+    return StateTensors(
+        corners=place[..., None, :].expand(*place.shape[:3], 8, 3),
+        neighbour_values=0.025 * ones[..., None].expand(*place.shape[:3], 4),
+        birth=0.025 * ones,
+        death=0.025 + lifetime,
+        killer_shift=0.025 * ones,
+        presence=presence,
+        noise=1e-4 * ones,
+    )
 
 
 def stack_forecasts(forecasts: Sequence[StateTensors], slots: int) -> StateTensors:
@@ -385,10 +407,7 @@ def measure_condition(config: EvaluationConfig, condition: Condition, folder: Pa
             predictor, about = load_checkpoint(folder / path, path, shape)
             if about["trained_on"] == dataset.checksum():
                 raise ValueError(f"condition {condition.name!r}: {path} was trained on the episodes to test on")
-            if about["model"] == "motion":
-                forecasters[shown].append(of_stream(predictor, observed, STEPS))
-            else:
-                forecasters[shown].append(of_windows(predictor.model))
+            forecasters[shown].append(of_predictor(predictor, observed, STEPS))
             checkpoints[shown].append(about)
     for name, found in forecasters.items():
         forecasters[name] = [turned(forecaster, condition.turned) for forecaster in found]

@@ -138,7 +138,6 @@ def hits_of(windows: WindowDataset, futures: Mapping[str, list[Array]], model: A
     truth = true_curves(windows, range(len(windows)), STEPS)
     target = StateTensors.from_labels(batch)
     past = StateTensors.from_past(batch)[:, -1:]
-    batch["turn"] = torch.eye(3)
 
     # Given motions are read as a model's own motions are. Carry moves the loops alone.
     forecasters = {"carry": of_windows(build("carry"))}

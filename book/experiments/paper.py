@@ -36,7 +36,7 @@ import pandas as pd
 import torch
 from _paper_networks import AnyConfig, blind
 from _paper_tables import MEASURES, table_of
-from forecasts import HORIZONS, Forecaster, measure, of_stream, of_windows, spread_windows, turned
+from forecasts import HORIZONS, Forecaster, measure, of_predictor, of_windows, spread_windows
 from numpy.typing import NDArray
 from tables import write_results
 
@@ -350,10 +350,7 @@ class Experiment:
             return blind(self.height(asked.films), self.shape.slots)
         if asked.name == "ridge":
             return of_windows(Predictor.load(self.ridge(asked.films)).model)
-        predictor = Predictor.load(asked.checkpoint)
-        if self.described(asked.name)["model"] in OF_POINTS:
-            return turned(of_stream(predictor, windows, HORIZONS), 0)
-        return of_windows(predictor.model)
+        return of_predictor(Predictor.load(asked.checkpoint), windows)
 
     def forecast(self) -> None:
         """Measure all forecasters on validation films; on test films only when no training of the claims is missing."""
