@@ -2,12 +2,15 @@
 
 What lies here was made by these commands, with the version of topokit that each file names in its provenance; a later version
 may move a vertex by some tenths of a millimetre. The labels are by an earlier default tracker, with a memory of 20 frames; the
-present one finds other loops in about one frame of a hundred. `dataset` and `motion` are some of the episodes of larger
-datasets, with their labels. Their folders were made by copying `dataset.json` and `labels.json`, with the list `numbers` of the
-episodes added to the first, and the files of these numbers:
+present one finds other loops in about one frame of a hundred. `dataset`, `motion` and `forecast` are some of the episodes of
+larger datasets, with their labels. Their folders were made by copying `dataset.json` and `labels.json`, with the list `numbers`
+of the episodes added to the first, and the files of these numbers:
 
     topokit generate --config data_small/dataset.json --episodes 2000 --seed 0 --out runs/dataset
     topokit generate --config book/datasets/motion.json --episodes 4000 --seed 20 --out runs/motion
+    python book/experiments/forecast_benchmark.py films --films runs/forecast
+
+The labels of `forecast` are by the default tracker of version 0.4.
 """
 
 import subprocess

@@ -5,11 +5,13 @@ from __future__ import annotations
 import dataclasses
 import importlib
 import json
+import re
 import shutil
 import sys
 from pathlib import Path
 from types import SimpleNamespace
 
+import forecast_benchmark
 import forecasts
 import linkers
 import numpy as np
@@ -299,6 +301,43 @@ def test_tracks_of_a_film_are_scored(tmp_path, monkeypatch):
 
 
 # -- linkers -----------------------------------------------------------------------------------------------------------------
+
+
+def test_answers_in_a_file_are_scored_as_their_forecaster_is(tmp_path, monkeypatch, capsys):
+    monkeypatch.chdir(tmp_path)
+    films = str(DATA / "forecast")
+    windows = forecast_benchmark.windows_of(films)
+    assert (
+        forecast_benchmark.checksums(windows.dataset).items()
+        <= json.loads(forecast_benchmark.RESULTS.read_text())["films"].items()
+    )
+    forecast_benchmark.main(["answers", "carry", "--films", films])
+    mine = forecast_benchmark.forecaster_of(forecast_benchmark.read_answers("carry.csv", windows), windows)
+    asked = {"mine": mine, "carry": forecast_benchmark.forecaster("carry", windows)}
+    found = forecast_benchmark.shares(asked, windows, "mine").groupby("forecaster")[["mean", "low", "high"]]
+    shares = {name: part.to_numpy() for name, part in found}
+    assert shares["mine"].tolist() == shares["carry"].tolist()
+    assert 0 < shares["carry"].mean() < 100
+    assert not shares["mine - carry"].any()
+
+    # A wrong file is refused; the line is named.
+    whole = pd.read_csv("carry.csv")
+    wrong = {
+        "no column presence": whole.drop(columns="presence"),
+        "line 3.*not finite": whole.assign(x=whole["x"].where(whole.index != 1)),
+        "line 2.*no such film": whole.assign(film=whole["film"].replace(0, 99)),
+        "line 2.*frame is not asked": whole.assign(frame=whole["frame"].replace(15, 16)),
+        "line 6.*horizon has to be": whole.assign(horizon=whole["horizon"].replace(15, 14)),
+        "line 5.*slot has to be": whole.assign(slot=whole["slot"].replace(3, 4)),
+        "line 2.*presence has to be": whole.assign(presence=2.0),
+        "line 242.*an earlier line": pd.concat([whole, whole[:1]]),
+        "no line for film 0, frame 15, horizon 1, and 1 such": whole[4:],
+    }
+    for what, table in wrong.items():
+        table.to_csv("wrong.csv", index=False)
+        with pytest.raises(SystemExit):
+            forecast_benchmark.main(["score", "wrong.csv", "--films", films])
+        assert re.search(f"wrong.csv.*{what}", capsys.readouterr().err)
 
 
 def test_the_alpha_that_the_paper_is_given():

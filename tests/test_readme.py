@@ -6,6 +6,7 @@ import json
 import re
 from pathlib import Path
 
+import forecast_benchmark
 import linkers
 import pandas as pd
 from tables import in_page
@@ -66,7 +67,8 @@ def test_shares_in_the_setting_of_the_paper():
 
 
 def test_tables_of_the_benchmarks():
-    for script, page, found in (("rips", "speed", _rips_tables), ("linkers", "benchmark", linkers)):
+    pages = (("rips", "speed", _rips_tables), ("linkers", "benchmark", linkers))
+    for script, page, found in (*pages, ("forecast_benchmark", "forecast_benchmark", forecast_benchmark)):
         text = (ROOT / "book" / f"{page}.md").read_text()
         assert in_page(text, f"{script}.py", found.tables(record(script))) == text, f"run {script}.py --page"
 
