@@ -101,12 +101,12 @@ def read_answers(path: str | Path, windows: WindowDataset) -> pd.DataFrame:
     if lacking:
         raise ValueError(f"{path}: no column {', '.join(lacking)}; the first line has to be {','.join(COLUMNS)}")
     table = given[COLUMNS].apply(pd.to_numeric, errors="coerce")
-    asked = pd.MultiIndex.from_frame(table[COLUMNS[:2]]).isin(pd.MultiIndex.from_arrays(windows.index.T))
+    is_asked = pd.MultiIndex.from_frame(table[COLUMNS[:2]]).isin(pd.MultiIndex.from_arrays(windows.index.T))
     finite = np.isfinite(table).all(axis=1)
     wrong = {
         "a value is missing or not finite; where no loop is forecast, write any place with presence 0": ~finite,
         "there is no such film; `answers hold` writes all of them": ~table["film"].isin(windows.episodes),
-        "this frame is not asked about; `answers hold` writes all of them": ~asked,
+        "this frame is not asked about; `answers hold` writes all of them": ~is_asked,
         f"horizon has to be one of {HORIZONS}": ~table["horizon"].isin(HORIZONS),
         f"slot has to be one of 0 to {windows.slots - 1}": ~table["slot"].isin(range(windows.slots)),
         "presence has to be from 0 to 1": ~table["presence"].between(0, 1),
@@ -117,7 +117,9 @@ def read_answers(path: str | Path, windows: WindowDataset) -> pd.DataFrame:
             line = int(np.argmax(lines))
             raise ValueError(f"{path}, line {line + 2}, {given.loc[line, COLUMNS].to_dict()}: {what}")
     answered = set(table[COLUMNS[:3]].itertuples(index=False, name=None))
-    missing = [(*window, step) for window in asked for step in HORIZONS if (*window, step) not in answered]
+    missing = [
+        (*window, step) for window in windows.index.tolist() for step in HORIZONS if (*window, step) not in answered
+    ]
     if missing:
         first = "film {}, frame {}, horizon {}".format(*missing[0])
         raise ValueError(f"{path}: no line for {first}, and {len(missing)} such; add one, with presence 0 for no loop")
