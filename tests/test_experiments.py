@@ -331,7 +331,7 @@ def test_answers_in_a_file_are_scored_as_their_forecaster_is(tmp_path, monkeypat
         "line 5.*slot has to be": whole.assign(slot=whole["slot"].replace(3, 4)),
         "line 2.*presence has to be": whole.assign(presence=2.0),
         "line 242.*an earlier line": pd.concat([whole, whole[:1]]),
-        "no line for film 0, frame 15, horizon 1, and 1 such": whole[4:],
+        "no line for film 0, frame 15, horizon 1 .1 are missing": whole[4:],
     }
     for what, table in wrong.items():
         table.to_csv("wrong.csv", index=False)

@@ -117,12 +117,13 @@ def read_answers(path: str | Path, windows: WindowDataset) -> pd.DataFrame:
             line = int(np.argmax(lines))
             raise ValueError(f"{path}, line {line + 2}, {given.loc[line, COLUMNS].to_dict()}: {what}")
     answered = set(table[COLUMNS[:3]].itertuples(index=False, name=None))
-    missing = [
-        (*window, step) for window in windows.index.tolist() for step in HORIZONS if (*window, step) not in answered
-    ]
+    every = [(*window, step) for window in windows.index.tolist() for step in HORIZONS]
+    missing = [one for one in every if one not in answered]
     if missing:
         first = "film {}, frame {}, horizon {}".format(*missing[0])
-        raise ValueError(f"{path}: no line for {first}, and {len(missing)} such; add one, with presence 0 for no loop")
+        raise ValueError(
+            f"{path}: no line for {first} ({len(missing)} are missing); add one, with presence 0 for no loop"
+        )
     return table
 
 
