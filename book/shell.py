@@ -225,7 +225,8 @@ def _at(value: Any, path: list[str]) -> Any:
 def _head(app: Any, pagename: str, templatename: str, context: dict[str, Any], doctree: Any) -> None:
     about = dict(TOPICS.findall((ROOT / "book" / "chapters.md").read_text(encoding="utf-8"))).get(pagename, DESCRIPTION)
     # An ARIA list must have ARIA items, which docutils does not write here.
-    context["body"] = context.get("body", "").replace('role="list" class="citation-list"', 'class="citation-list"')
+    body = context.get("body", "").replace('role="list" class="citation-list"', 'class="citation-list"')
+    context["body"] = _TABLE.sub(_captioned, _FRAME.sub(_framed, body))
     tags = [f'<meta name="description" content="{html.escape(about)}">']
     tags += [f'<meta property="og:{key}" content="{html.escape(value)}">' for key, value in _card(app, about).items()]
     context["metatags"] = context.get("metatags", "") + "\n".join(tags) + "\n"
@@ -234,6 +235,33 @@ def _head(app: Any, pagename: str, templatename: str, context: dict[str, Any], d
     if pagename == "search":
         for script in ("texts.js", "search_here.js"):
             app.add_js_file(script)
+
+
+# A data frame of pandas: a line in bold before it, its own styles, and a head of one row or of two.
+_FRAME = re.compile(
+    r'(?:<p>(?P<caption><strong>(?:(?!</p>).)*)</p>\s*)?<div class="output text_html"><div>\s*<style scoped>.*?</style>\s*'
+    r'<table border="1" class="dataframe">\s*<thead>(?P<head>.*?)</thead>',
+    re.DOTALL,
+)
+_ROW = re.compile(r"<tr[^>]*>(.*?)</tr>", re.DOTALL)
+_TABLE = re.compile(r'<table class="table">(?!\s*<caption)')
+
+
+def _framed(frame: re.Match[str]) -> str:
+    """Return the beginning of a data frame with one row for its head, and the line before it as its caption."""
+    columns, *index = _ROW.findall(frame["head"])
+    name = re.search(r"<th>(.*?)</th>", index[0] if index else columns)[1]
+    head = re.sub(r"<th>.*?</th>", f"<th>{name}</th>", columns, count=1)
+    caption = f"<caption>{frame['caption']}</caption>" if frame["caption"] else ""
+    table = f'<table class="table dataframe">{caption}<thead><tr>{head}</tr></thead>'
+    return f'<div class="output text_html"><div class="pst-scrollable-table-container">{table}'
+
+
+def _captioned(table: re.Match[str]) -> str:
+    """Return the beginning of a table with the heading above it as a caption for those who hear the page."""
+    headings = re.findall(r"<h\d>(.*?)<a", table.string[: table.start()], re.DOTALL)
+    words = re.sub(r"<[^>]*>", "", headings[-1]) if headings else "Table"
+    return f'<table class="table"><caption class="visually-hidden">{words}</caption>'
 
 
 def _card(app: Any, about: str) -> dict[str, str]:
