@@ -5,8 +5,10 @@ The loops themselves are tested in test_page_kernel: figures and pages compute t
 
 from __future__ import annotations
 
+import base64
 from dataclasses import replace
 from itertools import combinations
+from pathlib import Path
 
 import numpy as np
 import pytest
@@ -368,3 +370,38 @@ def test_curves_are_linked_as_by_topokit():
         assert (sign @ over, sign @ (1 - over)) == (number, number)
         numbers.add(number)
     assert numbers >= {-3, -2, -1, 0, 1, 2, 3}
+
+
+# ---- the reader's files: files.js
+
+READING = """async ([name, content, options]) => {
+  const film = await fileReaders().readFilm([new File([Buffer.from(content, "base64")], name)], options);
+  const points = film.frames.map(({ all }) => Array.from({ length: all.length / 3 }, (_, i) => [...all.slice(3 * i, 3 * i + 3)]));
+  return { ...film, points, frames: film.frames.map(({ left }) => left) };
+}"""
+
+
+def read_in_page(path: Path, **options: object) -> dict:
+    """Return what the page "Try your cloud" reads from a file."""
+    content = base64.b64encode(path.read_bytes()).decode()
+    return by_script(["sampling.js", "files.js"], READING, [[path.name, content, options]])[0]
+
+
+def test_the_columns_of_a_table_are_taken_as_the_page_says(tmp_path, monkeypatch):
+    """A column that counts the rows is no place, columns are chosen, and the line of Python gives the same points."""
+    monkeypatch.chdir(tmp_path)
+    points = np.random.default_rng(0).normal(size=(60, 3))
+    numbered = np.column_stack([np.arange(60), points])
+    np.save("plain.npy", points)
+    np.save("numbered.npy", numbered)
+    np.save("five.npy", np.column_stack([numbered[:, :0:-1], points[:, :2]]))
+    np.savetxt("numbered.csv", numbered, fmt="%.17g", delimiter=",", header="id,a,b,c", comments="")
+    np.savetxt("named.csv", np.column_stack([numbered, points]), fmt="%.17g", delimiter=",", header="id,a,b,z,x,y,z2")
+    cases = [("plain.npy", None, None), ("numbered.npy", None, [1, 2, 3]), ("five.npy", None, [0, 1, 2])]
+    cases += [("five.npy", [2, 1], [2, 1]), ("numbered.csv", None, [1, 2, 3]), ("named.csv", [6, 1, 4], [6, 1, 4])]
+    for name, columns, taken in cases:
+        film = read_in_page(Path(name), **({"columns": columns} if columns else {}))
+        assert film["errors"] == []
+        assert (film["table"] and film["table"]["kept"]) == taken
+        ours = eval(film["python"], {"np": np})
+        np.testing.assert_array_equal(np.array(film["points"][0])[:, : ours.shape[1]], ours)

@@ -83,6 +83,7 @@
     $("link").disabled = !given.sample;
     say($("address"), "");
     say($("told"), told());
+    fillColumns();
     measure();
     eye.back();
     if (given.columns === 2) Object.assign(eye.cam, { az: -Math.PI / 2, el: 1.5 });
@@ -100,9 +101,21 @@
     if (isFilm()) sizes.unshift(many(frames.length, "frame"));
     return `${isSample ? "sample: " : ""}${what}: ${sizes.join(", ")}${left.length ? `; left out: ${left.join(", ")}` : ""}`;
   }
-  async function take(files, more = {}) {
-    const given = files.length && (await working("reading", (report) => worker.run("readFilm", [[...files], {}], report)));
-    if (given) open(Object.assign(given, more));
+  async function take(files, more = {}, options = {}, view = {}) {
+    const list = [...files], given = list.length && (await working("reading", (report) => worker.run("readFilm", [list, options], report)));
+    if (given) open(Object.assign(given, more, { files: list, options }), view);
+  }
+  const axisOf = (k) => $("columns").querySelector(`[data-axis="${k}"]`);
+  function fillColumns() { // of a table: those that were taken, and the reader's choice
+    const { table } = source;
+    $("columns").hidden = !table;
+    if (!table) return;
+    const taken = table.kept.map((c) => c + 1).join(", ").replace(/, (\d+)$/, " and $1");
+    $("taken").textContent = `${many(table.labels.length, "column")}${table.counts ? ", of which the first counts the rows" : ""}; the place is in ${taken}:`;
+    for (const k of [0, 1, 2]) {
+      axisOf(k).replaceChildren(...table.labels.map((label, c) => new Option(label, c)), ...(k === 2 ? [new Option("none: a plane", "")] : []));
+      axisOf(k).value = table.kept[k] ?? "";
+    }
   }
   function sample(name, view = {}) { // computed here, or handed over with the page
     const packed = data.samples[name];
@@ -432,6 +445,10 @@
   $("pasting").onsubmit = (e) => {
     e.preventDefault();
     take([new File([$("numbers").value], "pasted.txt")], { pasted: true });
+  };
+  $("columns").onchange = () => {
+    const columns = [0, 1, 2].map((k) => axisOf(k).value).filter((value) => value !== "").map(Number);
+    take(source.files, { pasted: source.pasted }, { columns });
   };
   $("stop").onclick = stop;
   $("radius").oninput = (e) => {

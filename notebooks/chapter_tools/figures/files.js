@@ -48,6 +48,21 @@ function fileReaders() {
     return at;
   }
 
+  // ---- columns of a table ------------------------------------------------------------------------------------------
+  // Which columns are a place: those that the reader chose, those named x, y and z, or the first three after one that counts the rows.
+  function columnsOf(start, wide, names, asked) { // start: the numbers of the first rows
+    const rows = Math.floor(start.length / wide), first = start[0] === 1 ? 1 : 0;
+    const counts = wide > 2 && rows > 7 && Array.from({ length: rows }, (_, i) => start[i * wide]).every((value, i) => value === first + i);
+    const named = ["x", "y", "z"].every((axis) => names.includes(axis)), fits = asked?.every((c) => c < wide);
+    let kept = (counts ? [1, 2, 3] : [0, 1, 2]).filter((c) => c < wide);
+    if (named) kept = placeOf(names);
+    if (fits) kept = asked;
+    const label = (c) => `${c + 1}${names[c] ? ` (${names[c].slice(0, 20)})` : ""}: ${[...start.filter((_, i) => i % wide === c).slice(0, 3)].map((v) => +v.toPrecision(4)).join(", ")}`;
+    const table = wide > 3 || counts || fits ? { kept, counts, labels: Array.from({ length: wide }, (_, c) => label(c)) } : null;
+    return { kept, named, table, first: kept.every((column, k) => column === k) };
+  }
+  const FIRST_ROWS = 200;
+
   // ---- .ply --------------------------------------------------------------------------------------------------------
   const PLY_TYPES = { char: "i1", uchar: "u1", short: "i2", ushort: "u2", int: "i4", uint: "u4", float: "f4", double: "f8",
     int8: "i1", uint8: "u1", int16: "i2", uint16: "u2", int32: "i4", uint32: "u4", float32: "f4", float64: "f8" };
@@ -191,7 +206,7 @@ function fileReaders() {
     }
     return { shape: sizes, numbers, type: type[2] };
   }
-  function cloudsOfArray({ shape, numbers }, python) { // (n, 2), (n, 3), (T, n, 3), (T, h, w, 3), or (h, w, 3) of a depth camera
+  function cloudsOfArray({ shape, numbers }, python, asked) { // (n, 2), (n, 3), (T, n, 3), (T, h, w, 3), or (h, w, 3) of a depth camera
     const columns = shape.at(-1), given = `(${shape.join(", ")})`;
     if (shape.length < 2 || shape.length > 4) fail(`its shape is ${given}; a cloud is (n, 3), a film (T, n, 3)`);
     if (columns < 2 || columns > MOST_COLUMNS) fail(`its shape is ${given}; a row is a point of two or three numbers${shape[0] < 4 ? ": transpose it" : ""}`);
@@ -199,10 +214,14 @@ function fileReaders() {
     if (frames > MOST_FRAMES) fail(`${many(frames, "frame")}; this page follows up to ${MOST_FRAMES.toLocaleString("en")}`);
     checkCount(size / columns);
     const flat = shape.length === 4 || (shape.length === 3 && !film) ? ".reshape(" + (film ? `${frames}, -1, ${columns})` : `-1, ${columns})`) : "";
-    const clouds = Array.from({ length: frames }, (_, t) => numbers.subarray(t * size, (t + 1) * size));
-    return { clouds, columns, film, python: python + flat + (columns > 3 ? "[..., :3]" : "") };
+    const { kept, table, first } = columnsOf(numbers.subarray(0, Math.min(size, FIRST_ROWS * columns)), columns, [], asked);
+    const all = first && kept.length === columns, picked = all ? numbers : new Float64Array((numbers.length / columns) * kept.length);
+    if (!all) for (let i = 0; i < picked.length; i++) picked[i] = numbers[Math.floor(i / kept.length) * columns + kept[i % kept.length]];
+    const wide = picked.length / (frames || 1), clouds = Array.from({ length: frames }, (_, t) => picked.subarray(t * wide, (t + 1) * wide));
+    const part = first ? `[..., :${kept.length}]` : `[..., [${kept.join(", ")}]]`;
+    return { clouds, columns: kept.length, film, table, python: python + flat + (all ? "" : part) };
   }
-  const readNpy = (bytes, name) => cloudsOfArray(readArray(bytes), `np.load(${quoted(name)})`);
+  const readNpy = (bytes, name, asked) => cloudsOfArray(readArray(bytes), `np.load(${quoted(name)})`, asked);
 
   const CHECKS = Int32Array.from({ length: 256 }, (_, n) => {
     for (let k = 0; k < 8; k++) n = n & 1 ? (n >>> 1) ^ 0xedb88320 : n >>> 1;
@@ -258,21 +277,21 @@ function fileReaders() {
     }
     return entries;
   }
-  async function readNpz(bytes, name) {
+  async function readNpz(bytes, name, asked) {
     const entries = zipEntries(bytes), load = async (key) => readArray(await (entries.get(key + ".npy") ?? (() => fail(`it holds no ${key}`)))());
     if (entries.has("header.json")) return readEpisode(entries, load, name);
     const keys = [...entries.keys()].filter((key) => key.endsWith(".npy")).map((key) => key.slice(0, -4)).filter((key) => key !== "times");
     if (!keys.length) fail(`it holds no array, but ${[...entries.keys()].join(", ").slice(0, 80) || "nothing"}`);
     if (keys.length > 1 && keys.every((key) => /^arr_\d+$/.test(key))) { // unnamed arrays are a cloud each
       const frames = [];
-      for (let k = 0; k < keys.length; k++) frames.push(cloudsOfArray(await load(`arr_${k}`), ""));
+      for (let k = 0; k < keys.length; k++) frames.push(cloudsOfArray(await load(`arr_${k}`), "", asked));
       if (frames.some(({ clouds, columns }) => clouds.length > 1 || columns !== frames[0].columns)) fail("its arrays are no clouds of one kind");
-      const python = `[np.load(${quoted(name)})[f"arr_{k}"] for k in range(${keys.length})]`;
+      const part = frames[0].python, python = `[np.load(${quoted(name)})[f"arr_{k}"]${part} for k in range(${keys.length})]`;
       return { ...frames[0], film: true, clouds: frames.map(({ clouds }) => clouds[0]), python };
     }
     const key = keys.includes("points") ? "points" : keys[0];
     if (key !== "points" && keys.length > 1) fail(`it holds ${keys.join(", ").slice(0, 80)}: name the array of points "points"`);
-    return cloudsOfArray(await load(key), `np.load(${quoted(name)})[${quoted(key)}]`);
+    return cloudsOfArray(await load(key), `np.load(${quoted(name)})[${quoted(key)}]`, asked);
   }
   async function readEpisode(entries, load, name) { // of topokit: steps of 0.1 mm, along time their differences (see topokit/io.py)
     const { kind, frames } = JSON.parse(new TextDecoder().decode(await entries.get("header.json")()));
@@ -334,20 +353,22 @@ function fileReaders() {
     }
     return { numbers: Float64Array.from(numbers), rows, columns, kept, separator, skipped };
   }
-  function readText(bytes, name) {
+  function readText(bytes, name, asked) {
     if (bytes.subarray(0, 4096).includes(0)) fail("it is no text: it holds bytes that no letter has");
-    let named = false;
-    const { numbers, rows, columns, kept, separator, skipped } = table(new TextDecoder().decode(bytes), (wide, names) => {
+    const text = new TextDecoder().decode(bytes), cut = text.split("\n", FIRST_ROWS + 1);
+    const start = table((cut.length > FIRST_ROWS ? cut.slice(0, -1) : cut).join("\n"), (wide) => Array.from({ length: wide }, (_, c) => c));
+    let chosen = null;
+    const { numbers, rows, columns, kept, separator, skipped } = table(text, (wide, names) => {
       if (wide < 2) fail("it has one number a row; a point has two or three");
-      named = ["x", "y", "z"].every((axis) => names.includes(axis));
-      return named ? placeOf(names) : [0, 1, 2].slice(0, wide);
+      chosen = columnsOf(start.numbers, wide, names, asked);
+      return chosen.kept;
     });
     if (!rows) fail("it holds no numbers");
     const options = [quoted(name)];
     if (separator !== " ") options.push(`delimiter=${quoted(separator)}`);
     if (skipped) options.push(`skip_header=${skipped}`);
-    if (columns > 3 || named) options.push(`usecols=(${kept.join(", ")})`);
-    return { clouds: [numbers], columns: kept.length, python: `np.genfromtxt(${options.join(", ")})` };
+    if (columns > 3 || chosen.named || !chosen.first) options.push(`usecols=(${kept.join(", ")})`);
+    return { clouds: [numbers], columns: kept.length, table: chosen.table, python: `np.genfromtxt(${options.join(", ")})` };
   }
 
   // ---- vertices of meshes -------------------------------------------------------------------------------------------
@@ -405,7 +426,7 @@ function fileReaders() {
     }
     return { points: out.slice(0, 3 * kept), left };
   }
-  async function readFile(file) {
+  async function readFile(file, { columns: asked }) {
     const suffix = file.name.includes(".") ? file.name.toLowerCase().split(".").at(-1) : "", megabytes = Math.round(file.size / 2 ** 20);
     if (!(suffix in READERS)) fail(`this page reads ${Object.keys(READERS).map((kind) => "." + kind).join(", ")}`);
     if (file.size > MOST_BYTES) fail(`${megabytes.toLocaleString("en")} MB; this page reads up to ${MOST_BYTES / 2 ** 20}: thin the cloud out first`);
@@ -413,7 +434,7 @@ function fileReaders() {
     const bytes = new Uint8Array(await file.arrayBuffer()), start = latin(bytes.subarray(0, 60)).trimStart().toLowerCase();
     if (/^version \S+git-lfs/.test(start)) fail("a pointer of git-lfs and not the file itself: fetch it by git lfs pull");
     if (/^<(!doctype|html|\?xml)/.test(start)) fail("a web page and not the file itself");
-    const read = await READERS[suffix](bytes, file.name);
+    const read = await READERS[suffix](bytes, file.name, asked);
     if (read.python === "ply") read.python = `next(read_clouds(${quoted(file.name)}))[1]`;
     if (read.python === "pcd") read.python = `PointCloud.from_path(${quoted(file.name)}).numpy(("x", "y", "z"))`;
     return read;
@@ -430,20 +451,21 @@ function fileReaders() {
     return { count, order: subcloud(points, 3, ids), radii, all: count > MOST_USED ? null : points, around, left };
   }
   // Of a file, or of several in natural order. A file that cannot be read is left out and named.
-  async function readFilm(files, { onProgress = () => {} } = {}) {
+  // Options: columns, the three or two that are a place.
+  async function readFilm(files, { onProgress = () => {}, ...options } = {}) {
     const sorted = [...files].sort((a, b) => new Intl.Collator("en", { numeric: true }).compare(a.name, b.name));
-    const film = { names: [], frames: [], errors: [], columns: 3, python: "", several: files.length > 1 };
+    const film = { names: [], frames: [], errors: [], columns: 3, python: "", table: null, several: files.length > 1 };
     for (const [k, file] of sorted.entries()) {
       try {
         if (k >= MOST_FRAMES) fail(`file number ${k + 1}; a film has up to ${MOST_FRAMES.toLocaleString("en")} frames`);
-        const { clouds, columns, film: whole, python } = await readFile(file);
+        const { clouds, columns, film: whole, python, table: columnsThere = null } = await readFile(file, options);
         if (film.several && clouds.length > 1) fail(`it is a film of ${clouds.length} frames; give it alone`);
         for (const [t, numbers] of clouds.entries()) {
           onProgress((k + t / clouds.length) / sorted.length);
           film.frames.push(thinned(numbers, columns, sorted.length * clouds.length, clouds.length > 1 ? `frame ${t}: ` : ""));
         }
         film.names.push(file.name);
-        Object.assign(film, { columns: Math.min(columns, 3), python: film.python || python, whole });
+        Object.assign(film, { columns, python: film.python || python, whole, table: film.table ?? columnsThere });
       } catch (error) {
         if (!film.several) film.frames = []; // a film with a bad frame
         film.errors.push(`${file.name}: ${error.message}`);
