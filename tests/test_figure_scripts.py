@@ -384,7 +384,7 @@ READING = """async ([name, content, options]) => {
 def read_in_page(path: Path, **options: object) -> dict:
     """Return what the page "Try your cloud" reads from a file."""
     content = base64.b64encode(path.read_bytes()).decode()
-    return by_script(["sampling.js", "files.js"], READING, [[path.name, content, options]])[0]
+    return by_script(["sampling.js", "cuts.js", "files.js"], READING, [[path.name, content, options]])[0]
 
 
 def test_the_columns_of_a_table_are_taken_as_the_page_says(tmp_path, monkeypatch):
@@ -405,3 +405,30 @@ def test_the_columns_of_a_table_are_taken_as_the_page_says(tmp_path, monkeypatch
         assert (film["table"] and film["table"]["kept"]) == taken
         ours = eval(film["python"], {"np": np})
         np.testing.assert_array_equal(np.array(film["points"][0])[:, : ours.shape[1]], ours)
+
+
+CUTTING = """async ([content, crop]) => {
+  const file = new File([Buffer.from(content, "base64")], "scene.npy"), { planeOf, readFilm } = fileReaders();
+  const planes = [await planeOf({ file, at: 0 }, { crop, thickness: 0.05 })], options = { crop, planes };
+  const film = Object.assign(await readFilm([file], options), { options });
+  return { left: film.frames[0].left, code: pythonLines(film, 800, [film.frames[0].all], []), normal: planes[0].normal };
+}"""
+
+
+def test_a_ring_is_left_of_a_scene_without_its_largest_plane(tmp_path, monkeypatch):
+    """The plane is slanted, far from zero, and thick; the lines of Python that the page shows leave the same points."""
+    monkeypatch.chdir(tmp_path)
+    rng = np.random.default_rng(0)
+    table = np.insert(rng.uniform(-3, 3, (3000, 2)), 2, rng.normal(0, 0.01, 3000), axis=1)
+    scene = np.vstack([table, np.insert(polygon(60), 2, 1.0, axis=1), [[0.0, 0.0, 9.0]]])
+    turn = Rotation.from_euler("xyz", [0.3, 0.2, 0.1]).as_matrix()
+    np.save("scene.npy", (scene @ turn.T + 100).astype(np.float32))
+    content = base64.b64encode(Path("scene.npy").read_bytes()).decode()
+    crop = [[None, None, None], [None, None, 105.0]]
+    [answer] = by_script(["sampling.js", "cuts.js", "files.js", "out.js"], CUTTING, [[content, crop]])
+    assert (answer["left"]["outside"], answer["left"]["onPlane"]) == (1, 3000)
+    assert abs(answer["normal"] @ turn[:, 2]) == pytest.approx(1, abs=1e-3)
+    lines: dict = {}
+    exec(answer["code"], lines)
+    np.testing.assert_array_equal(lines["points"], np.load("scene.npy")[3000:3060])
+    assert len(lines["diagram"]) == 1

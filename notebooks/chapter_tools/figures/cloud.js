@@ -3,7 +3,7 @@
 // prefix. The worker reads and tracks; each answer replaces `states`. All else draws `states` at a frame, a radius and a loop.
 (() => {
   const [scene, diagram, strip] = [$("scene"), $("diagram"), $("strip")];
-  const { cycle } = ripsKernel(), { thinned } = fileReaders(), worker = kernelWorker([fileReaders]), later = lazily(draw);
+  const { cycle } = ripsKernel(), { thinned } = fileReaders(), worker = kernelWorker([fileReaders, cloudCuts]), later = lazily(draw);
   const eye = orbit(scene, [-60, 20], later, { n: () => step(1), p: () => step(-1), " ": () => isFilm() && play() });
   let source = null, clouds = [], states = []; // what was read; the points that are used, and the tracker's states, a frame each
   let frame = 0, radius = 0, chosen = { id: null, bar: 0 }; // what is shown
@@ -61,6 +61,7 @@
     end = 1.1 * states.reduce((most, { diagram: { deaths } }) => deaths.reduce((m, death) => Math.max(m, death), most), 0) || size;
     radius = Math.min(radius, end);
     at(frame);
+    hint();
   }
 
   // ---- in --------------------------------------------------------------------------------------------------------
@@ -71,6 +72,7 @@
     source = given;
     states = [];
     seconds = 0;
+    say($("hint"), "");
     $("rows").replaceChildren();
     frame = clamp(view.frame ?? 0, 0, last());
     radius = 0;
@@ -80,10 +82,11 @@
     $("film").hidden = strip.parentElement.hidden = !isFilm();
     $("time").max = last();
     $("sample").selectedIndex = names.indexOf(given.sample);
-    $("link").disabled = !given.sample;
+    $("link").disabled = !given.sample || isCut();
     say($("address"), "");
     say($("told"), told());
     fillColumns();
+    fillCuts();
     measure();
     eye.back();
     if (given.columns === 2) Object.assign(eye.cam, { az: -Math.PI / 2, el: 1.5 });
@@ -95,7 +98,7 @@
   }
   function told() { // what was read, and what of it was left out
     const { frames, names: files, sample: isSample } = source, total = (key) => sum(frames.map(({ left }) => left[key]));
-    const reasons = { notFinite: "not finite", atZero: "at zero, where a camera saw nothing", repeats: "repeated" };
+    const reasons = { notFinite: "not finite", atZero: "at zero, where a camera saw nothing", repeats: "repeated", outside: "outside the box", onPlane: isFilm() || planes().length > 1 ? "on planes" : "on a plane" };
     const left = Object.keys(reasons).filter(total).map((key) => `${total(key).toLocaleString("en")} ${reasons[key]}`);
     const what = files.length > 1 ? `${files[0]} to ${files.at(-1)}` : files[0], sizes = [many(total("rows"), "point")];
     if (isFilm()) sizes.unshift(many(frames.length, "frame"));
@@ -117,25 +120,105 @@
       axisOf(k).value = table.kept[k] ?? "";
     }
   }
-  function sample(name, view = {}) { // computed here, or handed over with the page
+  function sample(name, view = {}, options = {}) { // computed here, or handed over with the page
     const packed = data.samples[name];
     let parts = [COMPUTED[name]?.()];
     if (packed) {
       const numbers = Float64Array.from(unpack(packed.ticks), (v, i) => (v + packed.low[i % 3]) / 1e4), wide = 3 * packed.ticks.shape.at(-2);
       parts = Array.from({ length: numbers.length / wide }, (_, t) => numbers.slice(wide * t, wide * (t + 1)));
     }
-    const frames = parts.map((numbers) => thinned(numbers, 3, parts.length));
-    open({ names: [name], frames, errors: [], columns: 3, sample: name }, view);
+    try {
+      const frames = parts.map((numbers) => thinned(numbers, 3, parts.length, "", options));
+      open({ names: [name], frames, errors: [], columns: 3, sample: name, parts, options }, view);
+    } catch (error) {
+      say($("errors"), error.message);
+    }
+  }
+
+  // ---- parts taken away --------------------------------------------------------------------------------------------
+  const STEPS = 200, planes = () => source.options.planes ?? [], isCut = () => Boolean(source.options.crop) || planes().length > 0;
+  const cropping = () => !$("box").hidden;
+  let middle = [[0, 0, 0], [1, 1, 1]]; // of the whole cloud: what the sliders span
+  const sliders = ["x", "y", "z"].map((axis, k) => {
+    const [place, words] = [document.createElement("span"), document.createElement("output")], pair = [0, 1].map((side) => {
+      const slider = Object.assign(document.createElement("input"), { type: "range", max: STEPS });
+      slider.setAttribute("aria-label", `${axis}, ${side ? "highest" : "lowest"}`);
+      slider.oninput = () => {
+        slider.value = side ? Math.max(slider.value, +pair[0].value + 1) : Math.min(slider.value, pair[1].value - 1);
+        tellLimits(k);
+        later();
+      };
+      slider.onchange = () => again({ ...source.options, crop: boxNow() });
+      return slider;
+    });
+    place.append(axis, ...pair, words);
+    $("box").append(place);
+    return { place, pair, words };
+  });
+  function limitOf(k, side) { // null at the end of a slider: no limit
+    const value = +sliders[k].pair[side].value, wide = middle[1][k] - middle[0][k];
+    if (value === side * STEPS || !wide) return null;
+    return +(middle[0][k] + (wide * value) / STEPS).toFixed(clamp(1 - Math.floor(Math.log10(wide / STEPS)), 0, 15));
+  }
+  function boxNow() {
+    const box = [0, 1].map((side) => [0, 1, 2].map((k) => limitOf(k, side)));
+    return box.flat().some((limit) => limit !== null) ? box : undefined;
+  }
+  function tellLimits(k) {
+    const [low, high] = [0, 1].map((side) => limitOf(k, side));
+    sliders[k].words.textContent = low === null && high === null ? "all" : `${low ?? ""} to ${high ?? ""}`;
+    sliders[k].pair.forEach((slider, side) => slider.setAttribute("aria-valuetext", limitOf(k, side) ?? "no limit"));
+  }
+  function fillCuts() {
+    const { options: { crop }, frames, columns } = source;
+    middle = [Math.min, Math.max].map((most, side) => [0, 1, 2].map((k) => frames.reduce((m, frame) => most(m, frame.middle[side][k]), side ? -Infinity : Infinity)));
+    sliders.forEach(({ place, pair }, k) => {
+      place.hidden = k >= columns;
+      pair.forEach((slider, side) => {
+        const limit = crop?.[side][k] ?? null, wide = middle[1][k] - middle[0][k];
+        slider.value = limit === null ? side * STEPS : Math.round((STEPS * (limit - middle[0][k])) / wide);
+      });
+      tellLimits(k);
+    });
+    if (!isCut()) $("thickness").value = +(0.01 * Math.hypot(...[0, 1, 2].map((k) => middle[1][k] - middle[0][k]))).toPrecision(1);
+    $("plane").disabled = $("thickness").disabled = columns < 3;
+    $("whole").disabled = !isCut();
+  }
+  function again(options) { // the same source with other cuts, seen from where it was seen
+    const view = { frame, points: wanted(), cam: { ...eye.cam } };
+    if (source.sample) sample(source.sample, view, options);
+    else take(source.files, { pasted: source.pasted }, options, view);
+  }
+  async function removePlane() { // of the frame that is shown; from all frames
+    const { several, files, names: read, parts, options } = source, asked = { ...options, thickness: +$("thickness").value };
+    let given = { numbers: parts?.[frame], columns: 3, at: 0 };
+    if (files) given = several ? { file: files.find(({ name }) => name === read[frame]), at: 0 } : { file: files[0], at: frame };
+    const plane = await working("looking", () => worker.run("planeOf", [given, asked]));
+    if (plane) again({ ...options, planes: [...planes(), plane] });
+  }
+  function hint() { // where the loops of a scene are likely hidden by what is around them
+    const { count } = source.frames[frame], none = state()?.loops.length === 0 && count > clouds[frame].length / 3 && !source.sample;
+    const words = isCut() ? "Still no loop? Take away the next plane, crop closer, or use more points." : "No loop? Crop, or remove the plane.";
+    say($("hint"), none ? words : "");
+  }
+  function drawBox(g, place) {
+    const ends = [0, 1].map((side) => [0, 1, 2].map((k) => limitOf(k, side) ?? middle[side][k]));
+    const corners = Float64Array.from({ length: 24 }, (_, i) => ends[(Math.floor(i / 3) >> (i % 3)) & 1][i % 3]);
+    pen(g, css("--accent"), 1.5);
+    for (let v = 0; v < 8; v++) {
+      for (const bit of [1, 2, 4]) if (!(v & bit)) line(g, ...place(corners, v).slice(0, 2), ...place(corners, v | bit).slice(0, 2));
+    }
   }
 
   // ---- where things are seen ---------------------------------------------------------------------------------------
   let centre = [0, 0, 0], size = 1, end = 1, fit = null; // end: of the radii that are shown
+  const seenPoints = () => source.frames.flatMap(({ order, off }) => (cropping() ? [order, off] : [order]));
   function measure() { // the ball around all frames
     const low = [Infinity, Infinity, Infinity], high = [-Infinity, -Infinity, -Infinity];
-    for (const { order } of source.frames) {
-      for (let i = 0; i < order.length; i++) {
-        low[i % 3] = Math.min(low[i % 3], order[i]);
-        high[i % 3] = Math.max(high[i % 3], order[i]);
+    for (const points of seenPoints()) {
+      for (let i = 0; i < points.length; i++) {
+        low[i % 3] = Math.min(low[i % 3], points[i]);
+        high[i % 3] = Math.max(high[i % 3], points[i]);
       }
     }
     centre = low.map((v, k) => (v + high[k]) / 2);
@@ -152,9 +235,9 @@
   }
   function fitted(w, h) { // one scale for the whole film, so that playing and turning do not make the picture breathe
     const low = [Infinity, Infinity], high = [-Infinity, -Infinity], to = seen();
-    for (const { order } of source.frames) {
-      for (let i = 0; i < order.length; i += 3) {
-        const place = to(order, i);
+    for (const points of seenPoints()) {
+      for (let i = 0; i < points.length; i += 3) {
+        const place = to(points, i);
         for (const k of [0, 1]) [low[k], high[k]] = [Math.min(low[k], place[k]), Math.max(high[k], place[k])];
       }
     }
@@ -276,15 +359,16 @@
 
   // ---- pictures --------------------------------------------------------------------------------------------------
   function drawScene() {
-    const [g, w, h] = start(scene), place = placing(w, h), cloud = clouds[frame], { around } = source.frames[frame];
+    const [g, w, h] = start(scene), place = placing(w, h), cloud = clouds[frame], { around, off } = source.frames[frame];
     const S = Array.from({ length: cloud.length / 3 }, (_, v) => place(cloud, v));
-    if (around.length > cloud.length) {
-      g.fillStyle = fade(dark ? "#9fadbc" : "#5d6b7a", 0.3);
-      for (let v = 0; v < around.length / 3; v++) {
-        const [x, y] = place(around, v);
+    for (const [points, strength] of [[cropping() ? off : [], 0.12], [around.length > cloud.length ? around : [], 0.3]]) {
+      g.fillStyle = fade(dark ? "#9fadbc" : "#5d6b7a", strength);
+      for (let v = 0; v < points.length / 3; v++) {
+        const [x, y] = place(points, v);
         g.fillRect(x - 0.7, y - 0.7, 1.4, 1.4);
       }
     }
+    if (cropping()) drawBox(g, place);
     const complex = radius > 0 ? drawComplex(g, S) : "";
     for (const p of [...S].sort((a, b) => a[2] - b[2])) { // what is near is plainer
       dot(g, p, clamp(2.4 + 1.2 * p[2], 1.2, 4), fade(css("--ink").trim(), clamp(0.7 + 0.3 * p[2], 0.35, 1)));
@@ -450,6 +534,14 @@
     const columns = [0, 1, 2].map((k) => axisOf(k).value).filter((value) => value !== "").map(Number);
     take(source.files, { pasted: source.pasted }, { columns });
   };
+  $("plane").onclick = removePlane;
+  $("crop").onclick = () => {
+    $("box").hidden = !$("box").hidden;
+    $("crop").setAttribute("aria-expanded", cropping());
+    measure();
+    later();
+  };
+  $("whole").onclick = () => again({ columns: source.options.columns });
   $("stop").onclick = stop;
   $("radius").oninput = (e) => {
     radius = (e.target.value / 200) * end;

@@ -4,6 +4,7 @@
 function fileReaders() {
   const MOST_BYTES = 2 ** 28, MOST_POINTS = 5e6, MOST_FRAMES = 2000, MOST_COLUMNS = 16, MOST_NUMBERS = 2 ** 25, LONGEST_LINE = 10000;
   const CAMERAS = ["240,320", "424,512", "480,640", "480,848", "576,640", "720,1280", "1080,1920"]; // images (h, w, 3), not films
+  const { middleOf, cutAway, largestPlane } = cloudCuts();
   const fail = (text) => {
     throw new Error(text);
   };
@@ -442,16 +443,26 @@ function fileReaders() {
 
   // ---- frames --------------------------------------------------------------------------------------------------------
   const MOST_USED = 800, MOST_AROUND = 4000, MOST_ERRORS = 20;
-  function thinned(numbers, columns, frames = 1, where = "") { // up to 800 farthest points in their order; all points, where there are no more; some to be seen around them
-    const { points, left } = tidy(numbers, columns), count = points.length / 3;
-    if (!count) fail(`${where}none of its ${many(left.rows, "point")} is left: ${left.notFinite} not finite, ${left.atZero} at zero`);
-    const { ids, radii } = farthestPoints(points, count, 3, Math.min(count, MOST_USED));
-    const step = Math.ceil((count * Math.min(frames, 4)) / MOST_AROUND), around = new Float32Array(3 * Math.ceil(count / step));
+  function someOf(points, frames) { // to be seen around those that are used
+    const count = points.length / 3, step = Math.ceil((count * Math.min(frames, 4)) / MOST_AROUND) || 1, around = new Float32Array(3 * Math.ceil(count / step));
     for (let i = 0; i < around.length; i += 3) around.set(points.subarray(i * step, i * step + 3), i);
-    return { count, order: subcloud(points, 3, ids), radii, all: count > MOST_USED ? null : points, around, left };
+    return around;
+  }
+  function thinned(numbers, columns, frames = 1, where = "", cuts = {}) { // up to 800 farthest points in their order; all points, where there are no more
+    const { points: whole, left } = tidy(numbers, columns), { kept: points, off, outside, onPlane } = cutAway(whole, cuts), count = points.length / 3;
+    Object.assign(left, { outside, onPlane });
+    const gone = { "not finite": left.notFinite, "at zero": left.atZero, "outside the box": outside, "on a plane": onPlane };
+    const reasons = Object.entries(gone).filter(([, number]) => number).map(([why, number]) => `${number.toLocaleString("en")} ${why}`).join(", ");
+    if (!count) fail(`${where}none of its ${many(left.rows, "point")} would be left${reasons ? `: ${reasons}` : ""}`);
+    const { ids, radii } = farthestPoints(points, count, 3, Math.min(count, MOST_USED)), all = count > MOST_USED ? null : points;
+    return { count, order: subcloud(points, 3, ids), radii, all, around: someOf(points, frames), off: someOf(off, frames), middle: middleOf(whole), left };
+  }
+  async function planeOf({ numbers, columns, file, at }, options) { // of numbers, or of a frame of a file, after the cuts that are made already
+    const read = file ? await readFile(file, options) : { clouds: [numbers], columns };
+    return largestPlane(cutAway(tidy(read.clouds[at], read.columns).points, options).kept, options.thickness);
   }
   // Of a file, or of several in natural order. A file that cannot be read is left out and named.
-  // Options: columns, the three or two that are a place.
+  // Options: columns, the three or two that are a place; crop and planes, as `cutAway` has them.
   async function readFilm(files, { onProgress = () => {}, ...options } = {}) {
     const sorted = [...files].sort((a, b) => new Intl.Collator("en", { numeric: true }).compare(a.name, b.name));
     const film = { names: [], frames: [], errors: [], columns: 3, python: "", table: null, several: files.length > 1 };
@@ -462,7 +473,7 @@ function fileReaders() {
         if (film.several && clouds.length > 1) fail(`it is a film of ${clouds.length} frames; give it alone`);
         for (const [t, numbers] of clouds.entries()) {
           onProgress((k + t / clouds.length) / sorted.length);
-          film.frames.push(thinned(numbers, columns, sorted.length * clouds.length, clouds.length > 1 ? `frame ${t}: ` : ""));
+          film.frames.push(thinned(numbers, columns, sorted.length * clouds.length, clouds.length > 1 ? `frame ${t}: ` : "", options));
         }
         film.names.push(file.name);
         Object.assign(film, { columns, python: film.python || python, whole, table: film.table ?? columnsThere });
@@ -475,5 +486,5 @@ function fileReaders() {
     if (more) film.errors.push(`and ${more.toLocaleString("en")} more`);
     return film;
   }
-  return { readFilm, thinned };
+  return { readFilm, thinned, planeOf };
 }

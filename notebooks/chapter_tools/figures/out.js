@@ -35,11 +35,14 @@ function pythonLines(source, wanted, clouds, states) {
   const code = lines.join("\n");
   return [...IMPORTS.filter(([use]) => use.test(code)).map(([, line]) => line), code].join("\n");
 }
-function stepsOf({ frames }, wanted) { // from the points of a file to those that are used
+function stepsOf({ frames, columns, options: { crop, planes = [] } }, wanted) { // from the points of a file to those that are used
   const some = (key) => frames.some((frame) => frame.left[key]), counts = frames.map((frame) => frame.count), steps = [];
   if (some("notFinite")) steps.push("points[np.isfinite(points).all(axis=1)]");
   if (some("atZero")) steps.push("points[points.any(axis=1)]");
   if (some("repeats")) steps.push("points[np.sort(np.unique(points, axis=0, return_index=True)[1])]");
+  const limits = (side) => `[${crop[side].slice(0, columns).map((limit) => limit ?? (side ? "np.inf" : "-np.inf")).join(", ")}]`;
+  if (crop) steps.push(`points[((points >= ${limits(0)}) & (points <= ${limits(1)})).all(axis=1)]`);
+  for (const { normal, offset, thickness } of planes) steps.push(`points[abs(points @ [${normal.join(", ")}] - ${offset}) > ${thickness}]`);
   const fewest = Math.min(...counts), number = fewest < wanted ? `min(${wanted}, len(points))` : wanted;
   if (wanted < Math.max(...counts)) steps.push(`points[tk.farthest_point_sample(points, ${number})[0]]`);
   return steps;

@@ -600,7 +600,7 @@ def cloud(samples: Mapping[str, ArrayLike]) -> HtmlFigure:
         low = ticks.reshape(-1, 3).min(axis=0)
         packed[name] = {"ticks": ticks - low, "low": low.tolist()}
     kernel = ["sampling.js", "rips.js", "assign.js", "seqph.js", "worker.js"]
-    scripts = [*kernel, "files.js", "samples.js", "out.js", "orbit.js", "planar.js"]
+    scripts = [*kernel, "cuts.js", "files.js", "samples.js", "out.js", "orbit.js", "planar.js"]
     return _figure("cloud", {"samples": packed}, scripts, 900, "drag to turn", "Loops of your cloud")
 
 
