@@ -39,7 +39,7 @@ from chapter_tools.trackers import by_diagram, by_killer, by_midpoint, track_vin
 GARMENTS = ("apron", "apron2", "tote", "tote2", "backpack", "mask", "sheet", "sheet2", "shirt", "vest")
 FILMED = tuple(task for task in TASKS if task.split("-")[0] in GARMENTS)
 """The tasks of the films. A garment that joined the library later is not among them, so the films stay the same."""
-MEMORY = 8  # frames, of the paper's tracker with a memory and of yesterday's
+MEMORY = 8  # frames, of the paper's tracker where it has a memory
 MEASURES = ("mota", "idf1", "hota", "deta", "assa")
 COUNTS = ("objects", "detections", "misses", "false_positives", "switches", "fragments")
 THRESHOLDS = (0.3, 0.5, 0.7)  # of similarity: 1.4, 1 and 0.6 radii away
@@ -64,7 +64,7 @@ TRACKERS: dict[str, Follow] = {
     "killer-triangles": paper(identity="killer-triangles"),
     "cycle": paper(identity="cycle"),
     "memory": paper(memory=MEMORY),
-    "yesterday's": paper(identity="killer-triangles", gates="proved", memory=MEMORY),
+    "triangles and memory": paper(identity="killer-triangles", gates="proved", memory=MEMORY),
     "birth and death": paper(match=by_diagram),
     "nearest midpoint": paper(match=by_midpoint),
     "default": lambda clouds, _: tk.track(clouds, n_jobs=1),
@@ -75,7 +75,7 @@ PAPER = "paper, alpha guessed"
 GIVEN = "paper, alpha given"  # its parameters are of the film and the condition, see `true_parameters`
 RECOMMENDED = "default"
 WITH_MEMORY = "default, with a memory"  # of the cloud: what a camera sees now and saw before, and what it looks through
-MAIN = (PAPER, GIVEN, "yesterday's", RECOMMENDED)  # the others are in some conditions alone
+MAIN = (PAPER, GIVEN, "triangles and memory", RECOMMENDED)  # the others are in some conditions alone
 SEVERAL = (PAPER, GIVEN, *list(TRACKERS)[1:])
 COMPARED = ("all vertices", "every 4th frame", "250 points", "noise of 5 mm", "one camera")
 VINES = "vines"
