@@ -9,9 +9,20 @@ from matplotlib.axes import Axes
 
 from topokit.view import loop_colour
 
-LABELS = {"seqph": "seqPH", "mlp": "MLP", "mlp, places": "MLP, places", "pointnet": "PointNet"}
+LABELS = {"ours": "Motion", "seqph": "seqPH", "mlp": "MLP", "mlp, places": "MLP, places", "pointnet": "PointNet"}
 GREYS = {"seqph": "0.35", "hold": "0.75", "carry": "0.6"}
 COLOURS = {"ours": 0, "mlp": 1, "pointnet": 2, "ridge": 5, "few": 4, "longer": 2}  # of the identities: one palette
+MARKS = {
+    "ours": "o",
+    "mlp": "s",
+    "pointnet": "^",
+    "ridge": "D",
+    "mlp, places": "v",
+    "few": "s",
+    "longer": "^",
+    "carry": "P",
+    "hold": "X",
+}
 CURVES = {"marked curve alone": "marked", "any curve of the class": "any"}
 # Treatments that lie between others are not drawn.
 NOT_DRAWN = {f"{curve}, within {tolerance} cm" for curve in CURVES for tolerance in (0, 1, 3, 10)}
@@ -50,7 +61,7 @@ def plot_accuracy(condition: Mapping[str, Any], horizons: Sequence[str], ax: Axe
 
 
 def plot_by_horizon(condition: Mapping[str, Any], measure: str, ax: Axes) -> Axes:
-    """Draw a measure against the horizon, with bands for the intervals of PointNet and ours.
+    """Draw a measure against the horizon, with bands for the intervals of PointNet and Motion.
 
     Parameters
     ----------
@@ -64,8 +75,8 @@ def plot_by_horizon(condition: Mapping[str, Any], measure: str, ax: Axes) -> Axe
     for model, cells in condition["curves"][measure].items():
         known = {int(step): cell for step, cell in cells.items() if cell["mean"] is not None}
         low, value, high = ([scale * cell[side] for cell in known.values()] for side in ("low", "mean", "high"))
-        dashes = "--" if model in GREYS else "-"
-        ax.plot(list(known), value, color=_colour(model), label=model_label(model), linestyle=dashes)
+        look = {"linestyle": "--" if model in GREYS else "-", "marker": MARKS.get(model, "."), "markersize": 4}
+        ax.plot(list(known), value, color=_colour(model), label=model_label(model), **look)
         if model in ("pointnet", "ours"):
             ax.fill_between(list(known), low, high, color=_colour(model), alpha=0.2, linewidth=0)
     names = {"hull_accuracy": ACCURACY, "distance_cm": "distance from the true centre (cm)"}
@@ -86,7 +97,7 @@ def plot_conditions(results: Mapping[str, Any], ax: Axes) -> Axes:
             place = i + offset
             label = None if i else model_label(model)
             ax.plot([100 * cell["low"], 100 * cell["high"]], [place, place], color=_colour(model), linewidth=1.5)
-            ax.plot(100 * cell["mean"], place, "o", markersize=4, color=_colour(model), label=label)
+            ax.plot(100 * cell["mean"], place, MARKS.get(model, "."), markersize=4, color=_colour(model), label=label)
     ax.set_yticks(range(len(tables)), list(results["conditions"]))
     ax.invert_yaxis()
     for i in range(1, len(tables)):
@@ -107,7 +118,14 @@ def plot_treatments(condition: Mapping[str, Any], ax: Axes) -> Axes:
     treatments = {name: rows for name, rows in condition["hull_treatments"].items() if name not in NOT_DRAWN}
     for model in next(iter(treatments.values())):
         values = [100 * rows[model]["mean"]["mean"] for rows in treatments.values()]
-        ax.plot(range(len(values)), values, "o-", markersize=4, color=_colour(model), label=model_label(model))
+        ax.plot(
+            range(len(values)),
+            values,
+            MARKS.get(model, ".") + "-",
+            markersize=4,
+            color=_colour(model),
+            label=model_label(model),
+        )
     names = []
     for name in treatments:
         for curve, short in CURVES.items():

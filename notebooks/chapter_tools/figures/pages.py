@@ -677,7 +677,7 @@ def shares(results: Mapping[str, Any], measures: Mapping[str, str]) -> HtmlFigur
     data = {
         "measure": list(measures),
         "garment": ["all", *garments],
-        "model": [results["ours"].capitalize() if model == "ours" else model_label(model) for model in models],
+        "model": [model_label(model) for model in models],
         "horizon": horizons,
         "condition": list(conditions),
         "marks": [models.index(model) for model in ("ours", "seqph", "carry")],
