@@ -177,6 +177,26 @@ def is_connected(rows, bits, z, left):
 
 
 @inlined
+def first_of(low, high):
+    """Return the lowest bit of two words, of which one is not 0."""
+    return lowest_bit(low if low else high) + (0 if low else 64)
+
+
+@inlined
+def are_connected(rows, low, high, z):
+    """Do what `is_connected` does for a lune in two words."""
+    left_low = low & ~rows[z, 0]
+    left_high = high & ~rows[z, 1]
+    while left_low | left_high:
+        v = first_of(left_low, left_high)
+        if not (low & rows[v, 0] & ~left_low) | (high & rows[v, 1] & ~left_high):
+            return False
+        left_low &= ~rows[v, 0]
+        left_high &= ~rows[v, 1]
+    return True
+
+
+@inlined
 def take_component(data, rows, label, x, y, z, lune):
     """Take the component of z out of the lune; return its apex, whose longer edge to {x, y} is shortest, and that edge."""
     bits = lune.bits

@@ -18,8 +18,10 @@ from ..pairing import root_of as root_of_plain
 from . import compiled
 from .edges import WINDOW, are_points, edge_length, edges_between, ends_of, first_window, new_edges, next_window
 from .lunes import (
+    are_connected,
     count_components,
     find_middles,
+    first_of,
     has_bit,
     is_cone,
     is_connected,
@@ -29,7 +31,7 @@ from .lunes import (
     new_lune,
     write_lune,
 )
-from .relations import add_edge, add_loop, kill_loops, new_graph, new_loops
+from .relations import FEW, add_edge, add_loop, kill_loops, new_graph, new_loops
 from .stop import greatest_length, last_empty
 from .tree import build_tree, first_numbers, tree_of_matrix
 
@@ -39,17 +41,24 @@ root_of = compiled(root_of_plain)
 
 
 @compiled
-def next_change(rows, keys, lengths, e, m, longest, last, until, alive, bits, left, stop):
+def next_change(rows, apexes, keys, lengths, e, m, longest, last, until, alive, bits, left, stop):
     """Join edges from the e-th on until one changes something; return its number + 1, and a vertex of its lune, -1 for none.
 
     Edges longer than `longest` are not read; where one comes, or all m are read, the second number is -2. Edges between the
-    lengths `last` and `until` are joined only.
+    lengths `last` and `until` are joined only. Few vertices have a table `apexes` (`relations.Graph`).
     """
     z = -2
     while e < m and z == -2 and stop[0] == 0 and lengths[e] <= longest:
         # A cone changes nothing, nor does a connected lune; while no loop is alive, none can be killed either.
         x, y, middle = ends_of(keys[e])
-        if not last < lengths[e] < until and not is_cone(rows, x, y, middle):
+        if len(apexes):
+            bits[0] = low = rows[x, 0] & rows[y, 0]
+            bits[1] = high = rows[x, 1] & rows[y, 1]
+            z = first_of(low, high) if low | high else -1
+            apexes[y, x] = 1 + z
+            if z >= 0 and (not alive or are_connected(rows, low, high, z)):
+                z = -2
+        elif not last < lengths[e] < until and not is_cone(rows, x, y, middle):
             z = write_lune(rows, x, y, bits)
             if has_bit(bits, middle):
                 z = middle
@@ -101,13 +110,16 @@ def pair_with(data, max_length, stop, bars):
     else:
         tree = tree_of_matrix(n)
     label = tree.label
-    words = (n + 63) >> 6
+    few = n <= FEW
+    words = 2 if few else (n + 63) >> 6
     rows = np.zeros((n, words), dtype=np.uint64)
     for v in range(n):
         join(rows, v, v)
-    lune = new_lune(n)
+    lune = new_lune(64 * words)
+    bits = lune.bits
     grid = new_grid(tree)
     graph = new_graph(n)
+    apexes = graph.apexes
     n_graph = np.int64(0)
     loops = new_loops()
     born = np.int64(0)
@@ -121,33 +133,36 @@ def pair_with(data, max_length, stop, bars):
     some = WINDOW >> 4 if len(bars) else WINDOW >> 1  # edges in a window: fewer where a gap may follow
     shortest = 0.0
     longest = min(max(first_window(data), 1e-6 * greatest, 5e-324), beyond)
-    edges = new_edges(min(n * n, 1 << 16))
+    edges = new_edges(min(n * n // 2 + n, 1 << 16))
     done = False
     while not done:
         edges, m, longest = edges_between(data, tree, shortest, longest, edges)
         # Rows of up to 3 words are read as quickly as a middle is looked up.
         if are_points(data) and words > 3:
             find_middles(tree, grid, edges.keys, m)
+        keys = edges.keys
+        lengths = edges.lengths
         e = np.int64(0)
         while e < m:
             bound = min(max_length, last) if alive == 0 else max_length
-            e, z = next_change(
-                rows, edges.keys, edges.lengths, e, m, bound, last, until, alive > 0, lune.bits, lune.left, stop
-            )
+            e, z = next_change(rows, apexes, keys, lengths, e, m, bound, last, until, alive > 0, bits, lune.left, stop)
             if z == -2:
                 done = e < m
                 break
-            length = edges.lengths[e - 1]
-            x, y, _ = ends_of(edges.keys[e - 1])
+            length = lengths[e - 1]
+            x, y, _ = ends_of(keys[e - 1])
             if z >= 0:  # the lune is disconnected
                 count = count_components(data, rows, label, x, y, lune)
-                graph, dead = kill_loops(data, label, rows, graph, loops, born, x, y, lune.apexes, count)
-                alive -= dead
+                alive -= kill_loops(data, label, rows, graph, loops, born, x, y, lune.apexes, count)
             else:  # the lune is empty
                 a = root_of(parent, x)
                 b = root_of(parent, y)
-                graph = add_edge(graph, n_graph, x, y, born if a == b else -1)
-                n_graph += 1
+                kept = -2 - born if a == b else -1
+                if few:
+                    apexes[y, x] = kept
+                else:
+                    graph = add_edge(graph, n_graph, x, y, kept)
+                    n_graph += 1
                 if a != b:  # the edge joins two components
                     parent[a] = b
                     n_components -= 1

@@ -14,11 +14,15 @@ import numpy as np
 from . import compiled
 from .lunes import ONE, vertex_of_lune
 
-# Edges with an empty lune, as lists at their ends: the first link of a vertex; for a link the next one, the edge's other end, and
-# the number of the loop that it created (-1: none, it joined two components); and edges that wait to be written in creators.
-Graph = namedtuple("Graph", "head links waiting")
+FEW = 128  # vertices of which two words are enough for a bitset
+
+# What is kept of edges, as a number: 1 + z for a vertex z of the lune that an edge had when it arrived; where this was empty, -1
+# if the edge joined two components, and -2 - c if it created loop c; 0 for what is not kept. Few vertices have a table `apexes`
+# (n, n), at the larger vertex and then the smaller one. Of more vertices only edges with an empty lune are kept, as lists at
+# their ends: the first link of a vertex; for a link the next one, the edge's other end, and its number. `waiting` is space.
+Graph = namedtuple("Graph", "head links waiting apexes")
 # Loops by number: the edges that create them; killer edges with two apexes, -1 while alive; and for a dead loop the bitset of the
-# creators that remain of its relation.
+# creators that remain of its relation. There is a row more, for the relation that is being reduced.
 Loops = namedtuple("Loops", "created killed columns")
 
 
@@ -38,20 +42,22 @@ def new_graph(n):
     head = np.empty(n, np.int64)
     for v in range(n):
         head[v] = -1
-    return Graph(head, np.empty((8 * n, 3), np.int64), np.empty((256, 2), np.int64))
+    few = n <= FEW
+    apexes = np.zeros((n, n) if few else (0, 0), np.int16)
+    return Graph(head, np.empty((0 if few else 8 * n, 3), np.int64), np.empty((256, 2), np.int64), apexes)
 
 
 @compiled
-def add_edge(graph, size, a, b, loop):
-    """Add the edge {a, b} to a graph of `size` edges, and return the graph; `loop` is the number of the loop that it created."""
+def add_edge(graph, size, a, b, kept):
+    """Add the edge {a, b} to the lists of `size` edges, and return the graph; `kept` is what is kept of it."""
     if 2 * size + 2 > len(graph.links):
-        graph = Graph(graph.head, twice_as_long(graph.links), graph.waiting)
+        graph = Graph(graph.head, twice_as_long(graph.links), graph.waiting, graph.apexes)
     head = graph.head
     links = graph.links
     for link in range(2 * size, 2 * size + 2):
         links[link, 0] = head[a]
         links[link, 1] = b
-        links[link, 2] = loop
+        links[link, 2] = kept
         head[a] = link
         a, b = b, a
     return graph
@@ -60,14 +66,14 @@ def add_edge(graph, size, a, b, loop):
 @compiled
 def new_loops():
     """Return space for the first loops."""
-    return Loops(np.empty((64, 2), np.int64), np.empty((64, 4), np.int64), np.zeros((64, 1), np.uint64))
+    return Loops(np.empty((64, 2), np.int64), np.empty((64, 4), np.int64), np.zeros((65, 1), np.uint64))
 
 
 @compiled
 def add_loop(loops, born, x, y):
     """Add the loop that {x, y} creates to `born` others, and return the loops."""
     if born == len(loops.created):
-        columns = np.zeros((2 * born, born >> 5), np.uint64)
+        columns = np.zeros((2 * born + 1, born >> 5), np.uint64)
         for loop in range(born):
             for w in range(loops.columns.shape[1]):
                 columns[loop, w] = loops.columns[loop, w]
@@ -80,42 +86,48 @@ def add_loop(loops, born, x, y):
 
 
 @compiled
-def write_in_creators(data, label, rows, graph, relation, column):
-    """Write a cycle, its vertices (m,), in creators into `column` (a bitset, mod 2); return the graph."""
+def write_in_creators(data, label, rows, graph, x, first, y, further, column):
+    """Write the cycle x, first, y, further in creators into `column` (a bitset, mod 2)."""
+    # Names for fields of tuples: numba counts each use of a field, in every turn of a loop.
     head = graph.head
     links = graph.links
     waiting = graph.waiting
+    apexes = graph.apexes
     for w in range(len(column)):
         column[w] = np.uint64(0)
-    for i in range(len(relation)):
-        waiting[i, 0] = relation[i - 1]
-        waiting[i, 1] = relation[i]
-    top = len(relation) - 1
+    top = -1
+    a = further
+    for b in (x, first, y, further):
+        top += 1
+        waiting[top, 0] = a
+        waiting[top, 1] = b
+        a = b
     while top >= 0:
         a = waiting[top, 0]
         b = waiting[top, 1]
-        top -= 1
-
-        # Is it in the graph? Then its lune was empty, and it is a creator or an edge of the tree.
-        link = head[a]
-        while link >= 0 and links[link, 1] != b:
-            link = links[link, 0]
-        if link >= 0:
-            creator = links[link, 2]
-            if creator >= 0:
+        kept = np.int64(0)
+        if len(apexes):
+            kept = np.int64(apexes[max(a, b), min(a, b)])
+        else:
+            link = head[a]
+            while link >= 0 and links[link, 1] != b:
+                link = links[link, 0]
+            if link >= 0:
+                kept = links[link, 2]
+        if kept >= 0:
+            # The two other edges of a triangle that was complete with the edge replace it.
+            z = kept - 1 if kept else vertex_of_lune(data, label, rows, a, b)
+            if top + 2 > len(waiting):
+                waiting = twice_as_long(waiting)
+            waiting[top, 1] = z
+            waiting[top + 1, 0] = z
+            waiting[top + 1, 1] = b
+            top += 1
+        else:
+            if kept < -1:
+                creator = -2 - kept
                 column[creator >> 6] ^= ONE << np.uint64(creator & 63)
-            continue
-
-        # Otherwise the two other edges of a triangle that was complete with it replace it.
-        z = vertex_of_lune(data, label, rows, a, b)
-        if top + 2 >= len(waiting):
-            waiting = twice_as_long(waiting)
-        waiting[top + 1, 0] = a
-        waiting[top + 1, 1] = z
-        waiting[top + 2, 0] = z
-        waiting[top + 2, 1] = b
-        top += 2
-    return Graph(head, links, waiting)
+            top -= 1
 
 
 @compiled
@@ -136,21 +148,13 @@ def reduce_column(column, killed, columns):
 
 @compiled
 def kill_loops(data, label, rows, graph, loops, born, x, y, apexes, count):
-    """Reduce the relations that an edge brings whose lune has `count` components, each with its apex.
-
-    Return the graph, and how many of the `born` loops die.
-    """
+    """Reduce the relations of an edge whose lune has `count` components, each with its apex; return how many loops die."""
     dead = 0
     killed = loops.killed
     columns = loops.columns
-    column = np.empty((born + 63) >> 6, np.uint64)
-    relation = np.empty(4, np.int64)
-    relation[0] = x
-    relation[1] = apexes[0]
-    relation[2] = y
+    column = columns[born, : (born + 63) >> 6]
     for i in range(1, count):
-        relation[3] = apexes[i]
-        graph = write_in_creators(data, label, rows, graph, relation, column)
+        write_in_creators(data, label, rows, graph, x, apexes[0], y, apexes[i], column)
         loop = reduce_column(column, killed, columns)
         if loop >= 0:
             for w in range(len(column)):
@@ -160,4 +164,4 @@ def kill_loops(data, label, rows, graph, loops, born, x, y, apexes, count):
             killed[loop, 2] = apexes[0]
             killed[loop, 3] = apexes[i]
             dead += 1
-    return graph, dead
+    return dead

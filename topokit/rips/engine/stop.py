@@ -69,11 +69,11 @@ def last_empty(data, tree, rows, shortest):
 
         # Two leaves: edge by edge. The point z, what is joined to both ends, and then all points are looked at.
         for x in range(start[a], end[a]):
+            to_z = edge_length(data, x, z)
             for y in range(x + 1 if a == b else start[b], end[b]):
                 length = edge_length(data, x, y)
-                if length < shortest or length <= latest or is_strictly_in_lune(data, z, x, y, length):
-                    continue
-                if not meet(rows, x, y) and is_empty_lune(data, x, y, length):
+                is_open = max(to_z, edge_length(data, y, z)) >= length >= shortest
+                if is_open and length > latest and not meet(rows, x, y) and is_empty_lune(data, x, y, length):
                     latest = length
     return latest
 
@@ -90,7 +90,7 @@ def meet(rows, x, y):
 @inlined
 def is_strictly_in_lune(data, z, x, y, length):
     """Return True if z is nearer to both ends of {x, y} than its length."""
-    return z != x and z != y and edge_length(data, x, z) < length and edge_length(data, y, z) < length
+    return max(edge_length(data, x, z), edge_length(data, y, z)) < length
 
 
 @compiled
