@@ -6,12 +6,15 @@ The loops themselves are tested in test_page_kernel: figures and pages compute t
 from __future__ import annotations
 
 import base64
+import json
+import zipfile
 from dataclasses import replace
 from itertools import combinations
 from pathlib import Path
 
 import numpy as np
 import pytest
+from PIL import Image
 from scipy.spatial.distance import cdist
 from scipy.spatial.transform import Rotation
 from test_figures import HOOK, RING, holed_clouds
@@ -372,63 +375,68 @@ def test_curves_are_linked_as_by_topokit():
     assert numbers >= {-3, -2, -1, 0, 1, 2, 3}
 
 
-# ---- the reader's files: files.js
+# ---- the reader's files: files.js and cuts.js
 
-READING = """async ([name, content, options]) => {
-  const film = await fileReaders().readFilm([new File([Buffer.from(content, "base64")], name)], options);
-  const points = film.frames.map(({ all }) => Array.from({ length: all.length / 3 }, (_, i) => [...all.slice(3 * i, 3 * i + 3)]));
-  return { ...film, points, frames: film.frames.map(({ left }) => left) };
+READING = """async ([named, thickness, crop]) => {
+  const files = named.map(([name, content]) => new File([Buffer.from(content, "base64")], name)), [{ name }] = files;
+  const { planeOf, readFilm } = fileReaders(), asked = [{ files, name, at: 0 }, { crop, thickness }];
+  const options = { crop, planes: thickness ? [await planeOf(...asked)] : [] };
+  const film = Object.assign(await readFilm(files, options), { options }), clouds = film.frames.map(({ all }) => all);
+  return { ...film, code: film.errors.length ? "" : pythonLines(film, 800, clouds, []), points: clouds.map((all) => [...all]) };
 }"""
 
 
-def read_in_page(path: Path, **options: object) -> dict:
-    """Return what the page "Try your cloud" reads from a file."""
-    content = base64.b64encode(path.read_bytes()).decode()
-    return by_script(["sampling.js", "cuts.js", "files.js"], READING, [[path.name, content, options]])[0]
+def read_in_page(*names: str, thickness: float = 0.0, crop: list | None = None) -> dict:
+    """Return what the page "Try your cloud" reads from files; the lines of Python that it shows give the same points."""
+    files = [[name, base64.b64encode(Path(name).read_bytes()).decode()] for name in names]
+    [film] = by_script(["sampling.js", "cuts.js", "files.js", "out.js"], READING, [[files, thickness, crop]])
+    if not film["errors"]:
+        lines: dict = {}
+        exec(film["code"], lines)
+        ours = lines["points"]
+        np.testing.assert_array_equal(np.reshape(film["points"], (-1, 3))[:, : ours.shape[1]], ours)
+    return film
 
 
-def test_the_columns_of_a_table_are_taken_as_the_page_says(tmp_path, monkeypatch):
-    """A column that counts the rows is no place, columns are chosen, and the line of Python gives the same points."""
+def test_files_are_read_as_the_lines_of_python_say(tmp_path, monkeypatch):
+    """Also: a column that counts the rows is no place, and what cannot be read is named with what reads it."""
     monkeypatch.chdir(tmp_path)
     points = np.random.default_rng(0).normal(size=(60, 3))
     numbered = np.column_stack([np.arange(60), points])
-    np.save("plain.npy", points)
     np.save("numbered.npy", numbered)
-    np.save("five.npy", np.column_stack([numbered[:, :0:-1], points[:, :2]]))
     np.savetxt("numbered.csv", numbered, fmt="%.17g", delimiter=",", header="id,a,b,c", comments="")
-    np.savetxt("named.csv", np.column_stack([numbered, points]), fmt="%.17g", delimiter=",", header="id,a,b,z,x,y,z2")
-    cases = [("plain.npy", None, None), ("numbered.npy", None, [1, 2, 3]), ("five.npy", None, [0, 1, 2])]
-    cases += [("five.npy", [2, 1], [2, 1]), ("numbered.csv", None, [1, 2, 3]), ("named.csv", [6, 1, 4], [6, 1, 4])]
-    for name, columns, taken in cases:
-        film = read_in_page(Path(name), **({"columns": columns} if columns else {}))
-        assert film["errors"] == []
-        assert (film["table"] and film["table"]["kept"]) == taken
-        ours = eval(film["python"], {"np": np})
-        np.testing.assert_array_equal(np.array(film["points"][0])[:, : ours.shape[1]], ours)
+    np.savetxt("a.pts", points, fmt="%.17g", header="60", comments="")
+    np.savetxt("a.asc", points, fmt="%.17g")
+    Path("a.json").write_text(json.dumps({"points": points.tolist()}))
+    with zipfile.ZipFile("a.zip", "w") as archive:
+        archive.write("a.asc")
+    for name in ("numbered.npy", "numbered.csv", "a.pts", "a.asc", "a.json", "a.zip"):
+        np.testing.assert_array_equal(np.reshape(read_in_page(name)["points"], (60, 3)), points)
+    np.save("five.npy", np.column_stack([points, points[:, :2]]))
+    assert read_in_page("five.npy")["table"]["kept"] == [0, 1, 2]
 
+    depth = np.add.outer(np.arange(12), np.arange(20) * 300 + 500).astype(np.uint16)
+    Image.fromarray(depth).save("depth.png")
+    Path("intrinsics.json").write_text(json.dumps({"fx": 30.5, "fy": 31, "cx": 9.5, "cy": 5.5, "depth_scale": 0.00025}))
+    assert len(read_in_page("depth.png", "intrinsics.json")["points"][0]) == 3 * depth.size
 
-CUTTING = """async ([content, crop]) => {
-  const file = new File([Buffer.from(content, "base64")], "scene.npy"), { planeOf, readFilm } = fileReaders();
-  const planes = [await planeOf({ file, at: 0 }, { crop, thickness: 0.05 })], options = { crop, planes };
-  const film = Object.assign(await readFilm([file], options), { options });
-  return { left: film.frames[0].left, code: pythonLines(film, 800, [film.frames[0].all], []), normal: planes[0].normal };
-}"""
+    zeros = np.zeros((30_000_000, 3), dtype=np.int8)  # a small file, refused by what its list declares
+    np.savez_compressed("greedy.npz", zeros, zeros, zeros)
+    for name, reason in (("greedy.npz", "unpacks to 257 MB;"), ("a.las", "laspy.read"), ("a.bag", "AnyReader")):
+        Path(name).touch()
+        assert reason in read_in_page(name)["errors"][0]
 
 
 def test_a_ring_is_left_of_a_scene_without_its_largest_plane(tmp_path, monkeypatch):
-    """The plane is slanted, far from zero, and thick; the lines of Python that the page shows leave the same points."""
+    """The plane is slanted, far from zero, and thick."""
     monkeypatch.chdir(tmp_path)
     rng = np.random.default_rng(0)
     table = np.insert(rng.uniform(-3, 3, (3000, 2)), 2, rng.normal(0, 0.01, 3000), axis=1)
     scene = np.vstack([table, np.insert(polygon(60), 2, 1.0, axis=1), [[0.0, 0.0, 9.0]]])
     turn = Rotation.from_euler("xyz", [0.3, 0.2, 0.1]).as_matrix()
     np.save("scene.npy", (scene @ turn.T + 100).astype(np.float32))
-    content = base64.b64encode(Path("scene.npy").read_bytes()).decode()
-    crop = [[None, None, None], [None, None, 105.0]]
-    [answer] = by_script(["sampling.js", "cuts.js", "files.js", "out.js"], CUTTING, [[content, crop]])
-    assert (answer["left"]["outside"], answer["left"]["onPlane"]) == (1, 3000)
-    assert abs(answer["normal"] @ turn[:, 2]) == pytest.approx(1, abs=1e-3)
-    lines: dict = {}
-    exec(answer["code"], lines)
-    np.testing.assert_array_equal(lines["points"], np.load("scene.npy")[3000:3060])
-    assert len(lines["diagram"]) == 1
+    film = read_in_page("scene.npy", thickness=0.05, crop=[[None, None, None], [None, None, 105.0]])
+    left = film["frames"][0]["left"]
+    assert (left["outside"], left["onPlane"]) == (1, 3000)
+    assert abs(film["options"]["planes"][0]["normal"] @ turn[:, 2]) == pytest.approx(1, abs=1e-3)
+    np.testing.assert_array_equal(np.reshape(film["points"], (60, 3)), np.load("scene.npy")[3000:3060])

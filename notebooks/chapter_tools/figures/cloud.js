@@ -192,7 +192,7 @@
   async function removePlane() { // of the frame that is shown; from all frames
     const { several, files, names: read, parts, options } = source, asked = { ...options, thickness: +$("thickness").value };
     let given = { numbers: parts?.[frame], columns: 3, at: 0 };
-    if (files) given = several ? { file: files.find(({ name }) => name === read[frame]), at: 0 } : { file: files[0], at: frame };
+    if (files) given = { files, name: read[several ? frame : 0], at: several ? 0 : frame };
     const plane = await working("looking", () => worker.run("planeOf", [given, asked]));
     if (plane) again({ ...options, planes: [...planes(), plane] });
   }

@@ -243,9 +243,9 @@ function fileReaders() {
         chunks.push(part.value);
       }
     } catch {
-      fail("damaged: one of its arrays cannot be unpacked");
+      fail("damaged: a part of it cannot be unpacked");
     }
-    if (got !== length) fail(`damaged: an array of ${many(length, "byte")} unpacks to ${got > length ? "more" : got.toLocaleString("en")}`);
+    if (got !== length) fail(`damaged: a part of ${many(length, "byte")} unpacks to ${got > length ? "more" : got.toLocaleString("en")}`);
     const out = new Uint8Array(length);
     let at = 0;
     for (const chunk of chunks) {
@@ -254,38 +254,51 @@ function fileReaders() {
     }
     return out;
   }
-  function zipEntries(bytes) { // from the list at the end of the file: name, and a promise of what it holds
+  function zipEntries(bytes) { // from the list at the end of the file: name, and a function that unpacks it, with how many bytes that makes
     const u2 = taker(bytes, "u2", true), u4 = taker(bytes, "u4", true), entries = new Map();
     let end = bytes.length - 22;
     while (end >= Math.max(0, bytes.length - 65557) && u4(end) !== 0x06054b50) end--;
-    if (end < 0 || u4(end) !== 0x06054b50) fail("not a whole .npz: it does not end as a zip file does");
+    if (end < 0 || u4(end) !== 0x06054b50) fail("cut off: it does not end as a zip file does");
     for (let k = 0, at = u4(end + 16); k < u2(end + 10); k++) {
       checkRoom(at + 46, bytes.length, "the entries of its list");
-      if (u4(at) !== 0x02014b50) fail("damaged: its list of arrays is broken");
+      if (u4(at) !== 0x02014b50) fail("damaged: its list of contents is broken");
       const [method, check, packed, length, start] = [u2(at + 10), u4(at + 16), u4(at + 20), u4(at + 24), u4(at + 42)];
       const name = latin(bytes.subarray(at + 46, at + 46 + u2(at + 28)));
-      entries.set(name, async () => {
-        checkRoom(start + 30, bytes.length, "its arrays");
+      const unpack = async () => {
+        checkRoom(start + 30, bytes.length, "its contents");
         const from = start + 30 + u2(start + 26) + u2(start + 28);
         checkRoom(from + packed, bytes.length, `${name}, packed,`);
-        if (length > MOST_BYTES) fail(`${name} unpacks to ${many(length, "byte")}; this page reads up to ${MOST_BYTES.toLocaleString("en")}`);
         if (method !== 0 && method !== 8) fail(`${name} is packed in a way that is not read here (${method})`);
         const whole = method ? await inflate(bytes.subarray(from, from + packed), length) : bytes.subarray(from, from + packed);
         if (checksum(whole) !== check) fail(`damaged: ${name} is not what was written`);
         return whole;
-      });
+      };
+      entries.set(name, Object.assign(unpack, { bytes: length }));
       at += 46 + u2(at + 28) + u2(at + 30) + u2(at + 32);
     }
     return entries;
   }
+  function checkUnpacked(entries, names) { // before anything is unpacked
+    const megabytes = Math.round(sum(names.map((name) => entries.get(name)?.bytes ?? 0)) / 2 ** 20);
+    if (megabytes > MOST_BYTES / 2 ** 20) fail(`what it holds unpacks to ${megabytes.toLocaleString("en")} MB; this page reads up to ${MOST_BYTES / 2 ** 20}`);
+  }
   async function readNpz(bytes, name, asked) {
-    const entries = zipEntries(bytes), load = async (key) => readArray(await (entries.get(key + ".npy") ?? (() => fail(`it holds no ${key}`)))());
+    const entries = zipEntries(bytes), load = async (key) => {
+      checkUnpacked(entries, [key + ".npy"]);
+      return readArray(await (entries.get(key + ".npy") ?? (() => fail(`it holds no ${key}`)))());
+    };
     if (entries.has("header.json")) return readEpisode(entries, load, name);
     const keys = [...entries.keys()].filter((key) => key.endsWith(".npy")).map((key) => key.slice(0, -4)).filter((key) => key !== "times");
     if (!keys.length) fail(`it holds no array, but ${[...entries.keys()].join(", ").slice(0, 80) || "nothing"}`);
     if (keys.length > 1 && keys.every((key) => /^arr_\d+$/.test(key))) { // unnamed arrays are a cloud each
       const frames = [];
-      for (let k = 0; k < keys.length; k++) frames.push(cloudsOfArray(await load(`arr_${k}`), "", asked));
+      checkUnpacked(entries, keys.map((key) => key + ".npy"));
+      for (let k = 0, count = 0; k < keys.length; k++) {
+        const array = await load(`arr_${k}`);
+        count += array.numbers.length;
+        if (count > MOST_NUMBERS) fail(`its arrays hold more than ${MOST_NUMBERS.toLocaleString("en")} numbers: thin the film out first`);
+        frames.push(cloudsOfArray(array, "", asked));
+      }
       if (frames.some(({ clouds, columns }) => clouds.length > 1 || columns !== frames[0].columns)) fail("its arrays are no clouds of one kind");
       const part = frames[0].python, python = `[np.load(${quoted(name)})[f"arr_{k}"]${part} for k in range(${keys.length})]`;
       return { ...frames[0], film: true, clouds: frames.map(({ clouds }) => clouds[0]), python };
@@ -356,7 +369,8 @@ function fileReaders() {
   }
   function readText(bytes, name, asked) {
     if (bytes.subarray(0, 4096).includes(0)) fail("it is no text: it holds bytes that no letter has");
-    const text = new TextDecoder().decode(bytes), cut = text.split("\n", FIRST_ROWS + 1);
+    const whole = new TextDecoder().decode(bytes), counted = /\.pts$/i.test(name) && /^\s*\d+\s*\n/.test(whole); // .pts begins with the number of points
+    const text = counted ? whole.replace(/\d+/, "#") : whole, cut = text.split("\n", FIRST_ROWS + 1);
     const start = table((cut.length > FIRST_ROWS ? cut.slice(0, -1) : cut).join("\n"), (wide) => Array.from({ length: wide }, (_, c) => c));
     let chosen = null;
     const { numbers, rows, columns, kept, separator, skipped } = table(text, (wide, names) => {
@@ -367,9 +381,65 @@ function fileReaders() {
     if (!rows) fail("it holds no numbers");
     const options = [quoted(name)];
     if (separator !== " ") options.push(`delimiter=${quoted(separator)}`);
-    if (skipped) options.push(`skip_header=${skipped}`);
+    if (skipped || counted) options.push(`skip_header=${skipped || 1}`);
     if (columns > 3 || chosen.named || !chosen.first) options.push(`usecols=(${kept.join(", ")})`);
     return { clouds: [numbers], columns: kept.length, table: chosen.table, python: `np.genfromtxt(${options.join(", ")})` };
+  }
+
+  function readJson(bytes, name, asked) { // lists of points, or a list under the name points
+    let value = null;
+    try {
+      value = JSON.parse(new TextDecoder().decode(bytes));
+    } catch (error) {
+      fail(`it is no JSON: ${error.message}`);
+    }
+    const list = Array.isArray(value) ? value : value?.points, shape = [];
+    if (!Array.isArray(list)) fail("it holds no list of points, and none under the name points");
+    for (let part = list; Array.isArray(part) && shape.length < 5; part = part[0]) shape.push(part.length);
+    const flat = list.flat(shape.length - 1), fits = flat.length === shape.reduce((product, size) => product * size, 1);
+    if (!fits || !flat.every((v) => v === null || typeof v === "number")) fail("its points are not all of as many numbers");
+    const numbers = Float64Array.from(flat, (v) => v ?? NaN), part = list === value ? "" : '["points"]';
+    return cloudsOfArray({ shape, numbers }, `np.array(json.loads(Path(${quoted(name)}).read_text())${part}, float)`, asked);
+  }
+
+  // ---- depth images --------------------------------------------------------------------------------------------------
+  const LENS = ["fx", "fy", "cx", "cy", "width", "height", "depth_scale"];
+  async function readPng(bytes, name, asked, lens) { // 16 bits of depth; the lens as `topokit.sensors.read_clouds` has it
+    const u4 = (at) => new DataView(bytes.buffer, bytes.byteOffset).getUint32(at), parts = [];
+    if (bytes.length < 33 || latin(bytes.subarray(1, 4)) !== "PNG") fail("no whole PNG");
+    const [width, height, depth, colour, interlace] = [u4(16), u4(20), bytes[24], bytes[25], bytes[28]];
+    if (depth !== 16 || colour !== 0 || interlace) fail("a picture, and no image of depth: that has 16 bits a pixel in one channel");
+    if (!lens) fail("a depth image needs its lens: drop a file intrinsics.json with it, with fx, fy, cx and cy in pixels");
+    checkCount(width * height);
+    for (let at = 8; at + 12 <= bytes.length; at += 12 + u4(at)) {
+      if (latin(bytes.subarray(at + 4, at + 8)) === "IDAT") parts.push(bytes.subarray(at + 8, at + 8 + u4(at)));
+    }
+    const joined = new Uint8Array(await new Blob(parts).arrayBuffer()), wide = 2 * width;
+    const rows = await inflate(joined.subarray(2, -4), height * (wide + 1)), out = new Float64Array(3 * width * height), scale = lens.depth_scale ?? 0.001;
+    let above = new Uint8Array(wide);
+    for (let r = 0; r < height; r++) {
+      const filter = rows[r * (wide + 1)], row = rows.subarray(r * (wide + 1) + 1, (r + 1) * (wide + 1));
+      for (let i = 0; i < wide; i++) { // each byte is stored as its difference from those at the left and above
+        const [left, up, corner] = [i > 1 ? row[i - 2] : 0, above[i], i > 1 ? above[i - 2] : 0], middle = left + up - corner;
+        const [byLeft, byUp, byCorner] = [left, up, corner].map((v) => Math.abs(middle - v));
+        const paeth = byLeft <= byUp && byLeft <= byCorner ? left : byUp <= byCorner ? up : corner;
+        row[i] += [0, left, up, (left + up) >> 1, paeth][filter];
+      }
+      above = row;
+      for (let c = 0; c < width; c++) {
+        const z = (256 * row[2 * c] + row[2 * c + 1]) * scale;
+        out.set([(z * (c - lens.cx)) / lens.fx, (z * (r - lens.cy)) / lens.fy, z], 3 * (r * width + c));
+      }
+    }
+    if ((lens.width ?? width) !== width || (lens.height ?? height) !== height) fail(`its lens is of an image of ${lens.width} x ${lens.height}, not ${width} x ${height}`);
+    return cloudOf(out, "ply");
+  }
+  async function readLens(file) {
+    const lens = JSON.parse(await file.text()), numbers = LENS.filter((key) => key in lens || LENS.indexOf(key) < 4);
+    const others = Object.keys(lens).filter((key) => !LENS.includes(key));
+    if (others.length) fail(`its lens has ${others.join(", ")}: give fx, fy, cx and cy of a lens without distortion`);
+    if (!numbers.every((key) => Number.isFinite(lens[key]))) fail("a lens has the numbers fx, fy, cx and cy, in pixels");
+    return lens;
   }
 
   // ---- vertices of meshes -------------------------------------------------------------------------------------------
@@ -404,7 +474,17 @@ function fileReaders() {
   }
 
   // ---- any file ------------------------------------------------------------------------------------------------------
-  const READERS = { ply: readPly, pcd: readPcd, npy: readNpy, npz: readNpz, csv: readText, xyz: readText, txt: readText, obj: readObj, stl: readStl };
+  const READERS = { ply: readPly, pcd: readPcd, npy: readNpy, npz: readNpz, csv: readText, xyz: readText, txt: readText, pts: readText,
+    asc: readText, json: readJson, png: readPng, obj: readObj, stl: readStl };
+  const trimeshed = (name) => `trimesh.load(${name}, process=False, force="mesh").vertices`, meshed = (name) => `pyvista.read(${name}).points`, lidar = (name) => `laspy.read(${name}).xyz`;
+  const ELSEWHERE = { las: lidar, laz: lidar, glb: trimeshed, gltf: trimeshed, off: trimeshed, vtk: meshed, vtp: meshed, vtu: meshed }; // what reads them in Python
+  const BAGS = ["bag", "mcap", "db3"];
+  function refuse(suffix, name) {
+    const saved = quoted(name.replace(/\.\w+$/, ".npy")), kinds = [...Object.keys(READERS), "zip"].map((kind) => "." + kind).join(", ");
+    if (suffix in ELSEWHERE) fail(`this page does not read .${suffix}. Python does: import numpy as np, ${/^\w+/.exec(ELSEWHERE[suffix](""))[0]}; np.save(${saved}, ${ELSEWHERE[suffix](quoted(name))}). Then drop ${saved}`);
+    if (BAGS.includes(suffix)) fail(`a recording of ROS. Python reads it by the package rosbags: AnyReader([Path(${quoted(name)})]). The page "Coming from ..." has the lines; np.save the clouds, and drop them here`);
+    fail(`this page reads ${kinds}`);
+  }
   function tidy(numbers, columns) { // places in space without NaN, a camera's zeros and repeats, and how many of each there were
     const rows = numbers.length / columns, out = new Float64Array(3 * rows), left = { rows, notFinite: 0, atZero: 0, repeats: 0 };
     let size = 16;
@@ -427,18 +507,51 @@ function fileReaders() {
     }
     return { points: out.slice(0, 3 * kept), left };
   }
-  async function readFile(file, { columns: asked }) {
+  async function readFile(file, { columns: asked }, lens) {
     const suffix = file.name.includes(".") ? file.name.toLowerCase().split(".").at(-1) : "", megabytes = Math.round(file.size / 2 ** 20);
-    if (!(suffix in READERS)) fail(`this page reads ${Object.keys(READERS).map((kind) => "." + kind).join(", ")}`);
+    if (!(suffix in READERS)) refuse(suffix, file.name);
     if (file.size > MOST_BYTES) fail(`${megabytes.toLocaleString("en")} MB; this page reads up to ${MOST_BYTES / 2 ** 20}: thin the cloud out first`);
     if (!file.size) fail("the file is empty");
     const bytes = new Uint8Array(await file.arrayBuffer()), start = latin(bytes.subarray(0, 60)).trimStart().toLowerCase();
     if (/^version \S+git-lfs/.test(start)) fail("a pointer of git-lfs and not the file itself: fetch it by git lfs pull");
     if (/^<(!doctype|html|\?xml)/.test(start)) fail("a web page and not the file itself");
-    const read = await READERS[suffix](bytes, file.name, asked);
+    const read = await READERS[suffix](bytes, file.name, asked, lens);
     if (read.python === "ply") read.python = `next(read_clouds(${quoted(file.name)}))[1]`;
     if (read.python === "pcd") read.python = `PointCloud.from_path(${quoted(file.name)}).numpy(("x", "y", "z"))`;
     return read;
+  }
+
+  async function unpacked(files) { // with what is in .zip files; the lens of depth images; what cannot be unpacked
+    const [all, errors, isLens] = [[], [], ({ name }) => /(^|\/)intrinsics\.json$/i.test(name)];
+    let lens = null;
+    for (const file of files) {
+      try {
+        if (!/\.zip$/i.test(file.name)) all.push(file);
+        else if (file.size > MOST_BYTES) fail(`${Math.round(file.size / 2 ** 20)} MB; this page reads up to ${MOST_BYTES / 2 ** 20}`);
+        else {
+          const entries = zipEntries(new Uint8Array(await file.arrayBuffer()));
+          const names = [...entries.keys()].filter((name) => name.split(".").at(-1).toLowerCase() in READERS && !/(^|\/)(__MACOSX|\.)/.test(name));
+          if (!names.length) fail(`it holds no cloud, but ${[...entries.keys()].join(", ").slice(0, 80) || "nothing"}`);
+          checkUnpacked(entries, names);
+          for (const name of names) all.push(new NamedBlob(name, await entries.get(name)()));
+        }
+      } catch (error) {
+        errors.push(`${file.name}: ${error.message}`);
+      }
+    }
+    try {
+      const found = all.length > 1 && all.find(isLens);
+      if (found) lens = await readLens(found);
+    } catch (error) {
+      errors.push(`intrinsics.json: ${error.message}`);
+    }
+    return { all: all.length > 1 ? all.filter((file) => !isLens(file)) : all, lens, errors };
+  }
+  class NamedBlob extends Blob { // a file of a .zip, by its path
+    constructor(name, bytes) {
+      super([bytes]);
+      this.name = name;
+    }
   }
 
   // ---- frames --------------------------------------------------------------------------------------------------------
@@ -457,19 +570,21 @@ function fileReaders() {
     const { ids, radii } = farthestPoints(points, count, 3, Math.min(count, MOST_USED)), all = count > MOST_USED ? null : points;
     return { count, order: subcloud(points, 3, ids), radii, all, around: someOf(points, frames), off: someOf(off, frames), middle: middleOf(whole), left };
   }
-  async function planeOf({ numbers, columns, file, at }, options) { // of numbers, or of a frame of a file, after the cuts that are made already
-    const read = file ? await readFile(file, options) : { clouds: [numbers], columns };
+  async function planeOf({ numbers, columns, files, name, at }, options) { // of numbers, or of a frame of a file, after the cuts that are made already
+    const { all, lens } = await unpacked(files ?? []);
+    const read = files ? await readFile(all.find((file) => file.name === name), options, lens) : { clouds: [numbers], columns };
     return largestPlane(cutAway(tidy(read.clouds[at], read.columns).points, options).kept, options.thickness);
   }
   // Of a file, or of several in natural order. A file that cannot be read is left out and named.
   // Options: columns, the three or two that are a place; crop and planes, as `cutAway` has them.
   async function readFilm(files, { onProgress = () => {}, ...options } = {}) {
-    const sorted = [...files].sort((a, b) => new Intl.Collator("en", { numeric: true }).compare(a.name, b.name));
-    const film = { names: [], frames: [], errors: [], columns: 3, python: "", table: null, several: files.length > 1 };
+    const { all, lens, errors } = await unpacked(files);
+    const sorted = all.sort((a, b) => new Intl.Collator("en", { numeric: true }).compare(a.name, b.name));
+    const film = { names: [], frames: [], errors, columns: 3, python: "", table: null, several: all.length > 1, zips: files.map(({ name }) => name).filter((name) => /\.zip$/i.test(name)) };
     for (const [k, file] of sorted.entries()) {
       try {
         if (k >= MOST_FRAMES) fail(`file number ${k + 1}; a film has up to ${MOST_FRAMES.toLocaleString("en")} frames`);
-        const { clouds, columns, film: whole, python, table: columnsThere = null } = await readFile(file, options);
+        const { clouds, columns, film: whole, python, table: columnsThere = null } = await readFile(file, options, lens);
         if (film.several && clouds.length > 1) fail(`it is a film of ${clouds.length} frames; give it alone`);
         for (const [t, numbers] of clouds.entries()) {
           onProgress((k + t / clouds.length) / sorted.length);

@@ -9,6 +9,8 @@ const isHanded = (source) => Boolean(source.sample || source.pasted); // no file
 
 // ---- Python --------------------------------------------------------------------------------------------------------
 const IMPORTS = [
+  [/\bjson\.loads/, "import json"],
+  [/\bPath\(/, "from pathlib import Path"],
   [/\bnp\./, "import numpy as np"],
   [/\btk\./, "import topokit as tk"],
   [/\btrimesh\./, "import trimesh"],
@@ -28,6 +30,7 @@ function pythonLines(source, wanted, clouds, states) {
   } else {
     lines.push(`${film ? "film" : "points"} = ${source.python}${source.whole && !film ? "[0]" : ""}`);
   }
+  if (source.zips?.length) lines.unshift(`# where ${source.zips.join(", ")} ${source.zips.length > 1 ? "are" : "is"} unpacked`);
   const steps = isHanded(source) ? [] : stepsOf(source, wanted);
   if (!film && states[0]?.used.length < clouds[0].length / 3) steps.push("points[inliers(points)]");
   for (const step of steps) lines.push(film ? `film = [${step} for points in film]` : `points = ${step}`);
