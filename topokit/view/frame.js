@@ -56,7 +56,7 @@ function axes(canvas, highX, highY, title, unitX, marks = ticks(highY), marksX =
   g.strokeStyle = css("--line");
   g.lineWidth = 1;
   g.textBaseline = "middle";
-  g.fillText(title, 10, 14);
+  g.fillText(title, 10, 14, w - 20);
   for (const v of marksX) {
     g.textAlign = "center";
     g.fillText(v, X(v), box.y + box.h + 12);
@@ -151,14 +151,15 @@ function fullScreen() { // where the browser and the page around allow it
   button.setAttribute("aria-pressed", false);
   $("status").before(button);
 }
-function explain() { // a button that shows what a screen reader reads: the keys, and what can be dragged
-  const button = Object.assign(document.createElement("button"), { type: "button", textContent: "?", title: "keys", id: "help" });
+function explain() { // a button that shows what to try, and what a screen reader reads: the keys, and what can be dragged
+  const button = Object.assign(document.createElement("button"), { type: "button", textContent: "?", title: "what to try, and how", id: "help" });
   const show = (on) => {
     button.setAttribute("aria-expanded", on);
     $("keys").hidden = !on;
-    $("keys").textContent = $("scene").getAttribute("aria-label").replace(/^.*?\. (?=Drag|Click)/, "");
+    const hands = $("scene").getAttribute("aria-label").replace(/^.*?\. (?=Drag|Click)/, "");
+    $("keys").textContent = `Try this: ${document.querySelector("nav").dataset.try}\n${hands}`;
   };
-  describe(button, "keys and hands");
+  describe(button, "what to try, and how");
   button.setAttribute("aria-controls", "keys");
   button.onclick = () => show($("keys").hidden);
   button.onkeydown = (e) => { // not an arrow that returns false: it would swallow the Tab key

@@ -75,7 +75,7 @@
   const width = () => Math.max(alpha + 4 * epsilon, 0.02 * death); // of the window of half lengths
   function drawChart() {
     const high = 1.08 * Math.max(death, ...near.map(({ away }) => away)), low = death - 2 * epsilon, last = width();
-    const [g, X, Y, box] = axes(chart, last, high, "edges of these lengths: distance from the killer", "half length", undefined, []);
+    const [g, X, Y, box] = axes(chart, last, high, "each edge: distance from the killer", "half length", undefined, []);
     g.fillStyle = css("--soft");
     [[show(low), 0, "left"], [show(low + last), last, "right"]].forEach(([text, at, align]) => {
       g.textAlign = align;
@@ -95,7 +95,7 @@
   }
   function drawStrip() {
     const rows = steps(), high = 1.15 * Math.max(limits.length, ...rows.map(({ value }) => value)), wide = Math.max(1, rows.length);
-    const title = found ? "the path: each bar must stay below its mark" : "no two points of the lens are far enough apart";
+    const title = found ? "path: each bar must be below its mark" : "no two points are far enough apart";
     const [g, X, Y, box] = axes(strip, wide, high, title, "steps, and points between them", undefined, []), half = Math.min(14, 0.35 * box.w / wide);
     g.lineCap = "butt";
     rows.forEach(({ kind, value, limit, fits }, k) => {

@@ -59,7 +59,7 @@
   function drawChart() { // a bar for each other observer, with the marks of both bounds
     const rows = whole.loops.length ? others : [], finite = rows.flatMap(({ distance, paper, corrected }) => [distance, paper, corrected]).filter((v) => v !== null && v < Infinity);
     const high = 1.15 * Math.max(...finite, 1e-9), n = points.length + 1;
-    const [g, X, Y, box] = axes(chart, n, high, "distance to the killer that another observer sees", "the other misses", undefined, []), half = Math.min(13, 0.3 * box.w / n);
+    const [g, X, Y, box] = axes(chart, n, high, "distance to another observer's killer", "the other misses", undefined, []), half = Math.min(13, 0.3 * box.w / n);
     g.lineCap = "butt";
     rows.forEach((row, k) => {
       const x = X(k + 0.5), mark = (value, style, dash) => value !== null && trace(g, [[x - 1.4 * half, Y(value)], [x + 1.4 * half, Y(value)]], style, 2.5, { dash });
@@ -76,7 +76,7 @@
   function drawStrip() { // the lunes of the longest edges that this observer sees
     const edges = mine && whole.loops.length ? mine.complex.edges : [], kills = edges.map((_, k) => mine.complex.does(k) === "kills");
     const [loop] = whole.loops, low = loop ? 0.9 * loop.death - 0.5 * (loop.death - loop.birth) : 0, last = Math.max(low + 1e-9, ...edges.map(({ value }) => value));
-    const [g, X, Y, box] = axes(strip, 1, 2.6, "components of the lunes that this observer sees", "half length", [0, 1, 2], []), place = (v) => X(0.03 + (0.94 * (v - low)) / (last - low));
+    const [g, X, Y, box] = axes(strip, 1, 2.6, "components of the lunes seen here", "half length", [0, 1, 2], []), place = (v) => X(0.03 + (0.94 * (v - low)) / (last - low));
     edges.forEach((e, k) => {
       if (e.value < low) return;
       const at = [place(e.value), Y(Math.min(2, e.parts.length))];

@@ -97,7 +97,7 @@
   function drawCourse() { // how far off, over the frames
     const values = names.map((_, m) => Array.from({ length: K }, (_, t) => 100 * offOf(treatment, m, t).off));
     const allowed = Array.from({ length: K }, (_, t) => 100 * offOf(treatment, 0, t).most), high = 1.1 * Math.max(2, ...values.flat().filter(isFinite), ...allowed);
-    const [g, X, Y, box] = axes(course, Math.max(1, K - 1), high, `${treatment}: off by (cm); dashed: what counts as in`, "frames ahead", ticks(high), []);
+    const [g, X, Y, box] = axes(course, Math.max(1, K - 1), high, `${treatment}: off by (cm); dashed: limit`, "frames ahead", ticks(high), []);
     g.textAlign = "center";
     data.frames.forEach((name, t) => {
       if (t % 3 === 0) g.fillText(name, X(t), box.y + box.h + 12);
