@@ -2,6 +2,7 @@
 
 from .films import leak, planning, repaint, treatments, turning
 from .garments import plans, wardrobe
+from .hold import hold
 from .lune_plots import plot_lens, plot_lune
 from .pages import (
     belief,
@@ -36,6 +37,7 @@ __all__ = [
     "gates",
     "growth",
     "hiding",
+    "hold",
     "leak",
     "linked",
     "lunes",

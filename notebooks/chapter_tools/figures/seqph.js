@@ -1,10 +1,11 @@
 // seqPH's rule: which bars of a cloud are loops, and which loop of a frame is which of the frames before, as topokit.SeqPH has it.
 //
-//   const { track, evidence, measured, significance } = seqphKernel(ripsKernel(), assign);
+//   const { track, tracker, evidence, measured, significance } = seqphKernel(ripsKernel(), assign);
 //   track(clouds, d, { onProgress }) -> a state for each cloud, as topokit.track(clouds): { used, alpha, epsilon, diagram, evidence, loops }
 //     used        ids of the points that are not alone; the diagram (`persistence` of rips.js) is of these
 //     evidence    Float64Array, the log-odds that each bar of the diagram is a loop, by this frame alone
 //     loops       [{ id, bar, belief }], longest lifetime first; belief is the log-odds with the frames before
+//   tracker(d)(points)           the same state of the next cloud, for clouds that come one after another
 //   evidence(points, n, d, births, deaths) -> Float64Array, the same log-odds for all bars of a cloud
 //   measured(points, n, d)   a frame's points that are not alone, and the gaps between them
 //
@@ -148,15 +149,16 @@ function seqphKernel({ persistence }, assign) {
     if (frame.size === 0) throw new Error(`frame ${t} has no points`);
   }
 
-  function track(clouds, d, { onProgress } = {}) {
+  function tracker(d) { // a function that is given one cloud after another
     let known = [];
     let before = null;
     let nextId = 0;
-    return clouds.map((points, t) => {
+    let t = -1;
+    return (points, report) => {
+      t += 1;
       const n = points.length / d;
       const frame = measured(points, n, d);
       check(t, frame, before);
-      const report = onProgress && ((share) => onProgress((t + share) / clouds.length));
       const diagram = persistence(points, n, d, { ids: frame.used, onProgress: report });
       const strength = evidenceIn(frame, diagram.births, diagram.deaths);
       const { shift, epsilon } = before ? motionSince(frame, before, d) : { shift: new Array(d).fill(0), epsilon: 0 };
@@ -207,8 +209,13 @@ function seqphKernel({ persistence }, assign) {
       known = [...found, ...missed.map((loop) => ({ ...loop, belief: believe(loop.belief, MISSED) }))];
       before = frame;
       return { used: frame.used, alpha: frame.alpha, epsilon, diagram, evidence: strength, loops };
-    });
+    };
   }
 
-  return { track, evidence, measured, significance };
+  function track(clouds, d, { onProgress } = {}) {
+    const update = tracker(d);
+    return clouds.map((points, t) => update(points, onProgress && ((share) => onProgress((t + share) / clouds.length))));
+  }
+
+  return { track, tracker, evidence, measured, significance };
 }
