@@ -13,7 +13,7 @@
   const SLIP = 0.12; // metres between hand and vertex at which the hand slips off
   const TAKE = 0.08; // metres within which a hand takes the nearest vertex
   const BOTH = 2;
-  let goals, chosen, frames, looks, clouds, script, slipped, run;
+  let goals, chosen, frames, looks, clouds, script, note, run;
   let [awake, calm, busy, last, debt] = [false, 0, false, 0, 0];
 
   // ---- what the cloth does ---------------------------------------------------------------------------------------
@@ -30,7 +30,7 @@
     data.grips.forEach((vertex, h) => body.hold(h, vertex, at(body.points, vertex)));
     goals = body.hands.map((hand) => [...hand.at]);
     for (let k = 0; k < 60; k++) body.frame(goals); // it comes to rest
-    [chosen, frames, looks, clouds, script, slipped, run] = [BOTH, 0, [], [], false, "", (run ?? 0) + 1];
+    [chosen, frames, looks, clouds, script, note, run] = [BOTH, 0, [], [], false, "", (run ?? 0) + 1];
     wake();
   }
 
@@ -48,7 +48,7 @@
     body.hands.forEach(({ vertex, at: hand }, h) => {
       if (vertex < 0 || Math.hypot(...minus(hand, at(body.points, vertex))) < SLIP) return;
       drop(h);
-      slipped = `The ${["right", "left"][h]} hand slipped off: it pulled with more than the 6 newtons that it has. `;
+      note = `The ${["right", "left"][h]} hand slipped off: it pulled with more than the 6 newtons that it has. `;
     });
     calm = body.speed() < 0.03 && !script && body.hands.every((hand, h) => Math.hypot(...minus(hand.at, goals[h])) < 1e-4) ? calm + 1 : 0;
     if (calm > 40 || (calm > 0 && time() > 60 && !holds())) awake = false;
@@ -124,7 +124,7 @@
     const truth = linkOf(neck()), height = middle(neck())[2];
     if (holds()) return ["", "Bring the neck loop over the tip of the hook, lower it, and let go."];
     if (awake && calm < 20) return ["", "It falls into place."];
-    if (truth && height > 0.6) return ["yes", "It hangs: the neck goes around the hook, and no motion without a cut can take it off unless it passes the tip."];
+    if (truth && height > 0.6) return ["yes", "It hangs: the neck goes around the hook (linking number 1), so only a way over the tip takes it off."];
     if (truth) return ["no", "The neck is around the pole, but it slid down to the floor."];
     if (height > 0.6) return ["no", "It lies on the hook, but the neck does not go around it: one pull takes it off."];
     return ["no", "It fell: the neck was not around the hook when you let go, so nothing held it."];
@@ -150,12 +150,12 @@
   function tellAll() {
     const off = script && frames / 2 < data.held.length;
     const apart = off ? Math.hypot(...minus(middle(neck()), at(pybullet, Math.floor(frames / 2)))) : 0;
-    const text = `${looks.length ? seen() : ""}${slipped}\n${verdict()}${off ? `\nThe same moves in PyBullet: the middle of the neck is ${(1000 * apart).toFixed(0)} mm away.` : ""}`;
+    const text = `${looks.length ? seen() : ""}${note}\n${verdict()}${off ? `\nThe same moves in PyBullet: the middle of the neck is ${(1000 * apart).toFixed(0)} mm away.` : ""}`;
     $("status").setAttribute("aria-live", awake ? "off" : "polite");
     if ($("status").textContent !== text) $("status").textContent = text;
     $("release").textContent = holds() ? "let go" : "take hold";
     $("turn").value = ((((eye.cam.az * 180) / Math.PI + 180) % 360) + 360) % 360 - 180;
-    describe(scene, `An apron and a hook. Drag a hand or the bar between the hands, or beside them to turn the view. By keys: Tab chooses a hand or both, `
+    describe(scene, `An apron and a hook. Drag a hand, or the dot above the hands, which moves both; drag beside them to turn the view. By keys: Tab chooses a hand or both, `
       + "the arrow keys move it, page up and page down move it away from you and towards you, space lets go or takes hold, plus and minus zoom.");
     describe(strip, `lifetimes of the loops over the last ${WINDOW} seconds, thick where the loop goes around the hook; now ${$("status").textContent}`);
   }
@@ -190,21 +190,24 @@
     tellAll();
   }
 
-  const spotsOfHands = () => [...body.hands.map((hand) => hand.at), middle(body.hands.map((hand) => hand.at))].map((p) => [...shown(p, 0)]);
+  function spotsOfHands() { // in the picture; the handle of both is above them, where a finger does not take one of them
+    const spots = [...body.hands.map((hand) => hand.at), middle(body.hands.map((hand) => hand.at))].map((p) => [...shown(p, 0)]);
+    spots[BOTH][1] -= 34;
+    return spots;
+  }
 
   function drawHands(g) {
     const spots = spotsOfHands();
-    pen(g, css("--ink"), 3);
-    line(g, ...spots[0].slice(0, 2), ...spots[1].slice(0, 2), [3, 5]);
+    trace(g, [spots[0], spots[BOTH], spots[1]], css("--soft"), 1.5);
     spots.forEach((p, h) => {
       const full = h === BOTH || body.hands[h].vertex >= 0;
       const lit = chosen === h || chosen === BOTH;
-      dot(g, p, h === BOTH ? 8 : 10, full ? css("--ink") : css("--panel"), lit ? css("--accent") : css("--ink"), lit ? 4 : 2);
+      dot(g, p, h === BOTH ? 11 : 8, full ? css("--ink") : css("--panel"), lit ? css("--accent") : css("--ink"), lit ? 4 : 2);
     });
     g.textAlign = "center";
     g.textBaseline = "middle";
     g.fillStyle = css("--ink");
-    word(g, ["right hand", "left hand", "both hands"][chosen], spots[chosen][0], spots[chosen][1] - 20);
+    word(g, ["right hand", "left hand", "both hands"][chosen], spots[chosen][0] + 56, spots[chosen][1]);
     g.textAlign = "left";
   }
 
@@ -239,7 +242,7 @@
 
   function release(hands) {
     script = false;
-    slipped = "";
+    note = "";
     const held = hands.some((h) => body.hands[h].vertex >= 0);
     hands.forEach(held ? drop : take);
     wake();
@@ -290,11 +293,12 @@
   };
   scene.onpointerup = scene.onpointercancel = (e) => (dragged ? (dragged = null) : turning.up(e));
   const STEP = 0.02;
+  const ORDER = [BOTH, 0, 1];
   const moves = { ArrowLeft: [-1, 0], ArrowRight: [1, 0], ArrowUp: [0, 1], ArrowDown: [0, -1], PageUp: [0, 0, 1], PageDown: [0, 0, -1] };
   scene.onkeydown = (e) => {
     if (e.key === "Tab") { // through the hands, then on to the buttons
-      const next = chosen + (e.shiftKey ? -1 : 1);
-      if (next < 0 || next > BOTH) return;
+      const next = ORDER[ORDER.indexOf(chosen) + (e.shiftKey ? -1 : 1)];
+      if (next === undefined) return;
       chosen = next;
       later();
     } else if (moves[e.key]) carry(...moves[e.key].map((v) => STEP * v));
@@ -302,7 +306,10 @@
     else return turning.key(e);
     e.preventDefault();
   };
-  scene.onfocus = () => ((chosen = 0), later());
+  scene.onfocus = () => {
+    if (!dragged) chosen = BOTH;
+    later();
+  };
 
   // ---- controls -------------------------------------------------------------------------------------------------------------
   const again = () => begin(-middle([0, 1].map((h) => at(actions, h)))[0]); // before the hook, not beside it
@@ -328,7 +335,8 @@
   $("save").onclick = () => {
     const most = Math.min(...clouds.map((cloud) => cloud.length / 3)); // farthest points come in one order
     save("hold.npy", pointsAsNpy({ sample: true, names: ["hold"], columns: 3 }, clouds.map((cloud) => cloud.subarray(0, 3 * most)), 0));
-    $("status").textContent = "Saved. In Python: import numpy as np, topokit as tk; states = tk.track(np.load(\"hold.npy\")); or in a shell: topokit track hold.npy";
+    note = `Saved ${clouds.length} clouds. In Python: import numpy as np, topokit as tk; states = tk.track(np.load("hold.npy")). In a shell: topokit track hold.npy`;
+    later();
   };
   again();
   watch(later, picture.refit);

@@ -65,7 +65,7 @@ def hold(episode: Episode) -> HtmlFigure:
         "rods": [[begin.tolist(), end.tolist(), radius] for begin, end, radius in rods],
         "pieces": pieces,
         "line": close_far(episode.centre_line).tolist(),
-        "box": [[-0.3, -0.3, 0.2], [0.3, 0.35, 1.46], [0.3, -0.3, 0.8], [-0.3, 0.35, 0.8]],
+        "box": [[-0.3, -0.3, 0.2], [0.3, 0.35, 1.52], [0.3, -0.3, 0.8], [-0.3, 0.35, 0.8]],
         "reach": [[-0.6, 0.6], [-0.7, 0.6], [0.05, 1.55]],
         "view": [-32.0, 12.0],
     }
@@ -75,6 +75,6 @@ def hold(episode: Episode) -> HtmlFigure:
         scripts=SCRIPTS,
         folder=HERE,
         height=620,
-        caption="drag a hand, or the dot between them",
+        caption="drag the upper dot: it moves both hands",
         title="An apron to hang on a hook",
     )
