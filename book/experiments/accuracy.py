@@ -71,13 +71,7 @@ class TrueCurves:
     marked: tuple[Array, ...] = ()  #: for each loop the vertices (K, n, 3) that are marked; its curve when not given
 
     def hulls(self, loop: int, k: int) -> list[Array]:
-        """Return the points (n, 3) whose convex hulls stand for the loop: those of the marked curve, and of another one.
-
-        Parameters
-        ----------
-        loop, k : int
-            Which true loop, and at which of the K steps.
-        """
+        """Return the points (n, 3) whose hulls stand for a loop at step k: those of the marked curve, and of another one."""
         closing = np.zeros((0, 3))
         if self.closing:
             closing = self.closing[loop][k]
@@ -103,14 +97,7 @@ class TrueCurves:
         return float(2 * np.linalg.norm(point - (one + other) / 2) / np.linalg.norm(one - other))
 
     def beside(self, loop: int, k: int, point: Array) -> float:
-        """Return the distance of a point from a curve's plane, as a share of the allowed one; inf outside the outline.
-
-        Parameters
-        ----------
-        loop, k : int
-            Which true loop, and at which of the K steps.
-        point : (3,) array_like
-        """
+        """Return the distance of a point from a curve's plane, as a share of the allowed one; inf outside the outline."""
         offsets = self.curves[loop][k] - point
         mean = offsets.mean(axis=0)
         axes = np.linalg.svd(offsets - mean, full_matrices=False)[2]  # principal axes of the vertices, the normal last
@@ -129,27 +116,10 @@ def measure_forecasts(
     fine: Sequence[int],
     rng: np.random.Generator,
 ) -> dict[str, Array]:
-    """Measure forecasts of B windows at K steps ahead.
+    """Return the `COLUMNS` (B, K) of forecasts of B windows at K steps ahead, from 1; nan where there is nothing to measure.
 
-    Parameters
-    ----------
-    states : StateTensors
-        The forecasts, (B, horizon, slots).
-    target, past : StateTensors
-        The tracked states at all steps, and at the last frame before them (B, 1, slots).
-    truth : sequence of TrueCurves
-        The true loops of each window at these steps.
-    steps : sequence of int
-        Steps ahead, from 1.
-    fine : sequence of int
-        The steps at which likelihood and coverage are measured, which takes long.
-    rng : Generator
-
-    Returns
-    -------
-    dict of str to (B, K) array
-        The columns `hull_distance`, `hull_distance_any_curve`, `in_opening`, `same_slot`, `nll`, `cover50`, `brier` and others;
-        nan where there is nothing to measure.
+    `states` are the forecasts, (B, horizon, slots), and `target` the tracked states at all steps; `past` are those at the last
+    frame before them, (B, 1, slots). `fine` are the steps at which likelihood and coverage are measured, which takes long.
     """
     at = torch.tensor([step - 1 for step in steps])
     chosen = states[:, at]

@@ -131,19 +131,10 @@ def evaluate_forecasts(
     only: Sequence[str] = (),
     clips: Path | None = None,
 ) -> dict[str, Any]:
-    """Measure all models under all conditions; return the record, and write it after each condition.
+    """Measure all models under all conditions; return the record, and write it to `out` after each condition.
 
-    Parameters
-    ----------
-    config : EvaluationConfig
-    folder : path
-        The folder that the paths of `config` are relative to.
-    out : path, optional
-        File of the record.
-    only : sequence of str
-        Names of conditions: these are measured, and the others are taken from the record that is there.
-    clips : path, optional
-        Folder for the frames of the failures that the record lists, of the condition with most garments.
+    Paths of `config` are relative to a folder. Where `only` names conditions, the others are taken from the record that is there.
+    Frames of the failures that the record lists go to the folder `clips`, of the condition with most failures.
     """
     known = {}
     if only and out is not None:
@@ -381,8 +372,7 @@ def measure_condition(config: EvaluationConfig, condition: Condition, folder: Pa
     shape = config.shape
 
     # Windows as the labels have them, and the same windows as the forecasters see them.
-    options = {"history": shape.history, "horizon": shape.horizon, "slots": shape.slots}
-    options |= {"n_points": shape.points, "labels": labels}
+    options: dict[str, Any] = {"n_points": shape.points, "labels": labels}
     windows = WindowDataset(dataset, tested_episodes(condition, dataset, labels), **options)
     rows = spread_windows(windows, condition.windows)
     clean = windows.select(rows)

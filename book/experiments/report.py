@@ -113,11 +113,7 @@ def main() -> None:
     parser.add_argument("results", type=Path, help="a record of forecasts (.json)")
     parser.add_argument("--out", type=Path, required=True, help="folder for tables and figures")
     options = parser.parse_args()
-    try:
-        paths = write_report(json.loads(options.results.read_text(encoding="utf-8")), options.out)
-    except (KeyError, TypeError, AttributeError, StopIteration, ValueError) as error:
-        parser.error(f"{options.results}: no record of forecasts: {error!r}")
-    for path in paths:
+    for path in write_report(json.loads(options.results.read_text(encoding="utf-8")), options.out):
         print(path)
 
 

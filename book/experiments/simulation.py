@@ -8,9 +8,7 @@ one run; seconds an episode by garment and resolution; success and rejection by 
 """
 
 import argparse
-import dataclasses
 import json
-import math
 import statistics
 import time
 from collections.abc import Iterator
@@ -61,63 +59,31 @@ def cost(name: str, spacing: float) -> dict[str, Any]:
     target = "mannequin" if name in ("shirt", "vest") else "hook"
     garment = WARDROBE[name](spacing=spacing)
     start = time.perf_counter()
-    episode = simulate(garment, task=f"{name}-{target}", n_observed=100)
+    simulate(garment, task=f"{name}-{target}", n_observed=100)
     seconds = time.perf_counter() - start
-    steps = round((len(episode) * episode.dt + SimulationConfig().settle) / SimulationConfig().dt)
-    return {"garment": name, "target": target, "vertices": len(garment.vertices), "steps": steps, "seconds": seconds}
+    return {"garment": name, "target": target, "vertices": len(garment.vertices), "seconds": seconds}
 
 
-def recorded(folder: Path) -> list[dict[str, Any]]:
-    """Return a row for each episode of a dataset: whether it hung, why it was rejected, how far its cloth was stretched."""
-    dataset = Dataset(folder)
-    lines = (folder / "timing.jsonl").read_text().splitlines()
-    seconds = {row["episode"]: row["seconds"] for row in map(json.loads, lines)}
-    rows = []
-    for record in dataset.records:
-        row = {"task": record.task, "seconds": seconds.get(record.episode, math.nan)}
-        if record.status == "ok":
-            row |= {"success": record.success, "vertices": dataset[record.episode].points.shape[1]}
-            row |= record.physics["stretch"]
-        else:
-            row["rejected"] = record.reason
-        rows.append(row)
-    return sorted(rows, key=lambda row: row["task"])
-
-
-def by_task(rows: list[dict[str, Any]]) -> Iterator[dict[str, Any]]:
-    """Yield success, rejection, cost and stretch of every task."""
-    for name in dict.fromkeys(row["task"] for row in rows):
-        mine = [row for row in rows if row["task"] == name]
-        good = [row for row in mine if "rejected" not in row]
-        hung = sum(row["success"] for row in good)
+def by_task(dataset: Dataset) -> Iterator[dict[str, Any]]:
+    """Yield for every task how many episodes of a dataset hung, and how many were rejected."""
+    for name in sorted({record.task for record in dataset.records}):
+        mine = [record for record in dataset.records if record.task == name]
+        hung = sum(record.success for record in mine)
         low, high = binomtest(hung, len(mine)).proportion_ci(method="wilson")
-        yield {
-            "task": name,
-            "episodes": len(mine),
-            "hung": hung,
-            "low": low,
-            "high": high,
-            "rejected": len(mine) - len(good),
-            "vertices": max((row["vertices"] for row in good), default=0),
-            "seconds": statistics.median(row["seconds"] for row in mine),
-            "p99": max((row["p99"] for row in good), default=math.nan),
-            "worst": max((row["worst"] for row in good), default=math.nan),
-        }
+        rejected = sum(record.status != "ok" for record in mine)
+        yield {"task": name, "episodes": len(mine), "hung": hung, "low": low, "high": high, "rejected": rejected}
 
 
 def main() -> None:
     """Measure and print."""
     parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
-    parser.add_argument("--only", choices=("overhead", "cost", "success"), help="one of the three tables")
     parser.add_argument("--dataset", type=Path, required=True, help="a dataset of `topokit generate`")
     options = parser.parse_args()
-    answer: dict[str, Any] = {"config": dataclasses.asdict(SimulationConfig())}
-    if options.only in (None, "overhead"):
-        answer["overhead"] = [overhead(name, spacing) for name in ("apron", "tote") for spacing in (0.05, 0.03, 0.022)]
-    if options.only in (None, "cost"):
-        answer["cost"] = [cost(name, spacing) for name, spacings in SPACINGS.items() for spacing in spacings]
-    if options.only in (None, "success"):
-        answer["success"] = list(by_task(recorded(options.dataset)))
+    answer = {
+        "overhead": [overhead(name, spacing) for name in ("apron", "tote") for spacing in (0.05, 0.03, 0.022)],
+        "cost": [cost(name, spacing) for name, spacings in SPACINGS.items() for spacing in spacings],
+        "success": list(by_task(Dataset(options.dataset))),
+    }
     print(json.dumps(answer, indent=1))
 
 

@@ -16,17 +16,9 @@ def spoil(
 ) -> NDArray[np.float64]:
     """Return clouds (..., P, 3) with missing points, noise and outliers, drawn for every cloud separately.
 
-    Parameters
-    ----------
-    clouds : (..., P, 3) array
-    rng : numpy.random.Generator
-    noise : float
-        Standard deviation of each coordinate, metres.
-    outliers : float
-        Share of the points that are anywhere in the cloud's box, which is grown by 10 cm on each side.
-    keep : float
-        Share of the points that stay, at least one. They come first, in the order in which they were; repeats of them, in
-        their order, replace the others. Both shares are rounded to whole points.
+    Each coordinate gets `noise`, a standard deviation in metres. The share `outliers` of the points is anywhere in the cloud's
+    box, grown by 10 cm on each side. The share `keep` stays, at least one point; these come first, in their order, and repeats
+    of them replace the others. Both shares are rounded to whole points.
     """
     clouds = np.asarray(clouds, dtype=np.float64)
     n_points = clouds.shape[-2]

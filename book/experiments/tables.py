@@ -19,12 +19,9 @@ import pandas as pd
 
 
 def draw_episodes(garments: pd.Series, draws: int = 1000, seed: int = 0) -> pd.DataFrame:
-    """Return how often each draw takes each episode, (1 + draws, episodes); row 0 takes each of them once.
+    """Return how often each draw takes each episode, (1 + draws, episodes), given its garment; row 0 takes each of them once.
 
-    Parameters
-    ----------
-    garments : Series
-        The garment of each episode. How many there are of each was decided and not drawn, so it is the same in all draws.
+    How many episodes there are of each garment was decided and not drawn, so it is the same in all draws.
     """
     rng = np.random.default_rng(seed)
     counts = np.ones((1 + draws, len(garments)))
@@ -42,14 +39,8 @@ def bootstrap(samples: pd.DataFrame, columns: list[str], draws: int = 1000, seed
     """Return sums of some columns over bootstrap samples: a row for each draw, columns (model, step, column).
 
     Sums are of one training seed on average. Row 0 has the sums over the samples themselves. A mean is the quotient of two such
-    sums, and `interval` makes its interval.
-
-    Parameters
-    ----------
-    samples : DataFrame
-        One row a sample, with its `model`, `seed`, `step`, `episode` and `garment`.
-    columns : list of str
-        The columns to be added up; nan counts as 0.
+    sums, and `interval` makes its interval. A sample is a row with `model`, `seed`, `step`, `episode` and `garment`; nan
+    counts as 0.
     """
     episodes = draw_episodes(samples.groupby("episode")["garment"].first(), draws, seed)
     totals = {}
