@@ -1,4 +1,4 @@
-"""Draw the pictures of README, of *Usage* and of the first page: python book/pictures.py"""
+"""Draw the pictures of README, of *Usage*, of the first page and of the appendix on modules: python book/pictures.py"""
 
 from __future__ import annotations
 
@@ -8,14 +8,17 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
+from matplotlib import rc_context
 from matplotlib.backends.backend_agg import FigureCanvasAgg
 from matplotlib.figure import Figure
+from matplotlib.patches import Rectangle
 from PIL import Image
 
 import topokit as tk
 from topokit import view
 from topokit.data import Dataset
 from topokit.io import Episode, load_episode
+from topokit.lemmas import match_diagrams
 from topokit.sim import TASKS, WARDROBE, Hook
 
 HERE = Path(__file__).parent
@@ -23,7 +26,8 @@ FRAMES = (0, 40, 62, 95)
 
 
 def main() -> None:
-    """Draw an apron in four frames and as a film, all tasks as a picture and as a film, and the wardrobe."""
+    """Draw a matching, an apron in four frames and as a film, all tasks as a picture and as a film, and the wardrobe."""
+    matching(HERE / "_static" / "matching.svg")
     every_task(HERE.parent / "data_small" / "dataset")
     episode = load_episode(HERE.parent / "data_small" / "apron_hook_0.npz")
     states = tk.track(episode.points, times=episode.times)
@@ -46,6 +50,52 @@ def main() -> None:
     look = {"size": (300, 340), "view": (-65, 18), "zoom": 0.9}
     drawn = [_drawn(g.vertices, g.faces, rest=g.vertices, true_loops=g.loops, **look) for g in garments]
     _grid(drawn, 7).quantize(255).save(HERE / "_static" / "wardrobe.png", optimize=True)
+
+
+def matching(path: Path) -> None:
+    """Draw a planar cloud before and after a motion, and an optimal matching of the two diagrams."""
+    rng = np.random.default_rng(43)
+    rings = []
+    for points, x, y, radius in ((14, 0.0, 0.0, 1.9), (9, 3.2, -0.3, 1.0), (6, 2.6, 1.8, 0.6)):
+        angle = 2 * np.pi * np.arange(points) / points
+        rings.append(np.column_stack([x + radius * np.cos(angle), y + radius * np.sin(angle)]))
+    before = np.concatenate(rings)
+    before += rng.normal(0, 0.15, before.shape)
+    after = before + rng.uniform(-0.22, 0.22, before.shape)
+    first, second = tk.rips_persistence(before), tk.rips_persistence(after)
+    found = match_diagrams(first, second)
+    cost = found.cost
+
+    figure = Figure(figsize=(8.4, 3.9), layout="tight")
+    clouds, bars = figure.subplots(1, 2)
+    clouds.plot(*np.stack([before, after]).transpose(2, 0, 1), color="0.6", lw=1)
+    clouds.plot(*before.T, "o", mfc="white", mec="black", ms=6, label="before")
+    clouds.plot(*after.T, "o", color="black", ms=5, label="after")
+    clouds.set(aspect="equal", title="a cloud before and after a motion", xticks=[], yticks=[])
+    clouds.legend(loc=(0.14, 0.4), frameon=False)
+
+    low = 0.8 * min(first.birth.min(), second.birth.min())
+    high = 1.08 * max(first.death.max(), second.death.max())
+    bars.plot([low, high], [low, high], color="0.6", lw=1)
+    colours = [view.loop_colour(k) for k in range(len(first))]
+    for birth, death, partner, colour in zip(first.birth, first.death, found.partner, colours, strict=True):
+        if partner >= 0:
+            other = second.birth[partner], second.death[partner]
+            square = Rectangle((birth - cost, death - cost), 2 * cost, 2 * cost, fc=colour, ec=colour, alpha=0.2)
+            bars.add_patch(square)
+            bars.plot(*other, "o", color=colour, ms=7)
+        else:
+            other = ((birth + death) / 2,) * 2
+        bars.plot([birth, other[0]], [death, other[1]], color=colour, lw=1.5)
+        bars.plot(birth, death, "o", mfc="white", mec=colour, mew=2, ms=7)
+    for k in set(range(len(second))) - set(found.partner):
+        middle = (second.birth[k] + second.death[k]) / 2
+        bars.plot([second.birth[k], middle], [second.death[k], middle], color="0.4", lw=1.5)
+        bars.plot(second.birth[k], second.death[k], "o", color="0.4", ms=7)
+    bars.set(xlim=(low, high), ylim=(low, high), aspect="equal", xlabel="birth", ylabel="death")
+    bars.set_title(f"optimal matching: c = {cost:.2f}")
+    with rc_context({"svg.hashsalt": "matching"}):
+        figure.savefig(path, metadata={"Date": None}, bbox_inches="tight")
 
 
 def every_task(folder: Path, moments: int = 20) -> None:
