@@ -111,6 +111,8 @@ FILES = {
     "semicolons.csv": rows(";"),
     "blanks.xyz": rows(" "),
     "tabs.txt": rows("\t", points=[(*p, 1.0) for p in ring()]),
+    "counted.pts": b"60\n" + rows(" "),
+    "list.json": json.dumps(ring()).encode(),
     "mesh.obj": rows(" ", "v ") + b"f 1 2 3\n",
     "text.stl": stl(binary=False),
     "binary.stl": stl(binary=True),
@@ -439,6 +441,29 @@ def test_the_lines_of_python_give_the_loops_of_each_kind_of_file(cloud: Cloud, t
         for loop in found["loops"]
     ]
     assert shown == places
+
+
+def test_a_plane_and_what_is_outside_a_box_are_taken_away_and_put_back(cloud: Cloud, tmp_path: Path) -> None:
+    chance = random.Random(2)
+    table = [(chance.uniform(-6, 6), chance.uniform(-6, 6), 0.5) for _ in range(2000)]
+    far = [(k, 0, 9) for k in range(20)]
+    scene = npy([*ring(0.3, 0.9), *table, *far], "2080, 3")
+    (tmp_path / "scene.npy").write_bytes(scene)
+    cloud.give({"scene.npy": scene})
+    assert cloud.text("#hint") == "No loop? Crop, or remove the plane."
+    cloud.frame.click("#crop")
+    cloud.frame.query_selector_all("#box input")[5].evaluate("""slider => {
+      for (const name of ["input", "change"]) (slider.value = 190, slider.dispatchEvent(new Event(name)));
+    }""")
+    cloud.wait()
+    cloud.frame.click("#plane")
+    cloud.wait()
+    assert cloud.text("#told").endswith("left out: 20 outside the box, 2,000 on a plane")
+    [loop] = json.loads(cloud.saved("#save-json"))["frames"][0]["loops"]
+    assert by_python(cloud.text("#python"), tmp_path, "diagram.death.tolist()") == [loop["death"]]
+    cloud.frame.click("#whole")
+    cloud.wait()
+    assert cloud.text("#told") == "scene.npy: 2,080 points"
 
 
 @pytest.mark.parametrize("name", ["an episode", "several files", "a film: an apron and its hook"])
