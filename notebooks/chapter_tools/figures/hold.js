@@ -13,7 +13,8 @@
   const SLIP = 0.12; // metres between hand and vertex at which the hand slips off
   const TAKE = 0.08; // metres within which a hand takes the nearest vertex
   const BOTH = 2;
-  let goals, chosen, frames, looks, clouds, script, note, run;
+  const MOST = 3000; // clouds that are kept
+  let goals, chosen, frames, freed, looks, clouds, script, note, run;
   let [awake, calm, busy, last, debt] = [false, 0, false, 0, 0];
 
   // ---- what the cloth does ---------------------------------------------------------------------------------------
@@ -30,7 +31,7 @@
     data.grips.forEach((vertex, h) => body.hold(h, vertex, at(body.points, vertex)));
     goals = body.hands.map((hand) => [...hand.at]);
     for (let k = 0; k < 60; k++) body.frame(goals); // it comes to rest
-    [chosen, frames, looks, clouds, script, note, run] = [BOTH, 0, [], [], false, "", (run ?? 0) + 1];
+    [chosen, frames, freed, looks, clouds, script, note, run] = [BOTH, 0, 0, [], [], false, "", (run ?? 0) + 1];
     wake();
   }
 
@@ -51,7 +52,8 @@
       note = `The ${["right", "left"][h]} hand slipped off: it pulled with more than the 6 newtons that it has. `;
     });
     calm = body.speed() < 0.03 && !script && body.hands.every((hand, h) => Math.hypot(...minus(hand.at, goals[h])) < 1e-4) ? calm + 1 : 0;
-    if (calm > 40 || (calm > 0 && time() > 60 && !holds())) awake = false;
+    if (holds()) freed = frames;
+    if (calm > 40 || frames - freed > 1200) awake = false;
   }
 
   function tick(now) {
@@ -68,7 +70,7 @@
   }
 
   function wake() {
-    calm = 0;
+    [calm, freed] = [0, Math.max(freed, frames - 300)];
     if (awake) return;
     awake = true;
     [last, debt] = [performance.now(), 0];
@@ -110,7 +112,8 @@
     }
     looks.push({ when, sample: named(sample), loops, truth, held: holds() });
     clouds.push(cloud);
-    later();
+    if (looks.length > MOST) [looks, clouds].forEach((list) => list.shift());
+    if (!awake) later();
   }
 
   // ---- words ---------------------------------------------------------------------------------------------------------
@@ -123,11 +126,11 @@
   function hung() { // what became of the apron
     const truth = linkOf(neck()), height = middle(neck())[2];
     if (holds()) return ["", "Bring the neck loop over the tip of the hook, lower it, and let go."];
-    if (awake && calm < 20) return ["", "It falls into place."];
+    if (awake && calm < 20 && frames - freed < 300) return ["", "It falls into place."];
     if (truth && height > 0.6) return ["yes", "It hangs: the neck goes around the hook (linking number 1), so only a way over the tip takes it off."];
     if (truth) return ["no", "The neck is around the pole, but it slid down to the floor."];
-    if (height > 0.6) return ["no", "It lies on the hook, but the neck does not go around it: one pull takes it off."];
-    return ["no", "It fell: the neck was not around the hook when you let go, so nothing held it."];
+    if (height > 0.6 && body.deepest() > -0.007) return ["no", "It lies on the hook, but the neck does not go around it: one pull takes it off."];
+    return ["no", "It fell to the floor: the neck was not around the hook when you let go, so nothing held it."];
   }
 
   function verdict() {
@@ -141,8 +144,8 @@
     const renamed = looks.find(({ loops }) => loops.length && !loops.some(({ id }) => id === 0));
     const gone = looks.findIndex((_, k) => k + 10 <= looks.length && looks.slice(k, k + 10).every(({ loops }) => !loops.length));
     const second = (look) => `at ${look.when.toFixed(1)} s`;
-    if (renamed) return `You fooled it ${second(renamed)}: another name, loop ${renamed.loops[0].id}, is there in place of loop 0. It moved farther than a loop may between two frames.`;
-    if (wrong) return `You fooled it ${second(wrong)}: the cycle of loop 0 and the true neck differ in their linking numbers. The cycle takes a short cut on the other side of the hook.`;
+    if (renamed) return `You fooled it ${second(renamed)}: loop 0 is not found, and loop ${renamed.loops[0].id} is. The opening closed or moved too far, and a new name was given.`;
+    if (wrong) return `You fooled it ${second(wrong)}: the cycle of loop 0 and the true neck differ in their linking numbers. The cycle does not run where the strap runs.`;
     if (gone >= 0) return `You fooled it ${second(looks[gone])}: it found no loop for ten frames. Close the opening, or hide it from the camera, and there is nothing to find.`;
     return "Not fooled yet: loop 0 is where the neck is. Fold the strap, shake it, take fewer points, or let it see one side only.";
   }
@@ -283,6 +286,7 @@
   };
   scene.onpointermove = (e) => {
     if (!dragged) {
+      if (e.buttons && $("look").value === "camera") wake(); // it sees another side
       scene.style.cursor = under(e.offsetX, e.offsetY, 18) >= 0 ? "pointer" : "";
       return turning.move(e);
     }
