@@ -28,6 +28,7 @@ DESCRIPTION = "Find the loops of cloth in a cloud of points, say where they are,
 
 def setup(app: Any) -> dict[str, bool]:
     app.add_directive("film", Film)
+    app.add_directive("hold", Hold)
     app.connect("source-read", _figures_of_the_first_page)
     app.connect("doctree-read", _number, priority=400)  # before titles are collected, at 500
     app.connect("doctree-read", _tidy, priority=400)
@@ -191,6 +192,21 @@ class Film(Directive):
         episode = load_episode(ROOT / path)
         film = player(episode, track(episode.observed), height=460, start=0, film=True)
         return [nodes.raw("", f'<div class="topokit-film">{film._repr_html_()}</div>', format="html")]
+
+
+class Hold(Directive):
+    """Show the apron of a recorded hanging, which the reader hangs with two hands."""
+
+    required_arguments = 1
+
+    def run(self) -> list[nodes.Node]:
+        from chapter_tools.figures import hold
+        from topokit.io import load_episode
+
+        path = self.arguments[0]
+        self.state.document.settings.env.note_dependency(str(ROOT / path))
+        figure = hold(load_episode(ROOT / path))
+        return [nodes.raw("", f'<div class="topokit-film">{figure._repr_html_()}</div>', format="html")]
 
 
 def _figures_of_the_first_page(app: Any, docname: str, source: list[str]) -> None:
