@@ -63,6 +63,14 @@ function clothBody({ rest, faces, rods }, { stiffness = 1000, bending = 1, mass 
     };
   }
 
+  function approach(a, b, by, u, v, w) { // two vertices move towards each other, along the way (u, v, w) from a to b
+    x[a] += by * u;
+    x[a + 1] += by * v;
+    x[a + 2] += by * w;
+    x[b] -= by * u;
+    x[b + 1] -= by * v;
+    x[b + 2] -= by * w;
+  }
   function pull({ ends, lengths }, force) { // of a spring of this many newtons a metre
     const damped = DAMPING / (force * dt);
     const share = light / ((1 + damped) * 2 * light + 1 / (force * dt * dt));
@@ -77,12 +85,7 @@ function clothBody({ rest, faces, rods }, { stiffness = 1000, bending = 1, mass 
       const length = Math.sqrt(square);
       const grown = (u * (u - before[b] + before[a]) + v * (v - before[b + 1] + before[a + 1]) + w * (w - before[b + 2] + before[a + 2])) / length;
       const by = (share * (length - lengths[s] + damped * grown)) / length;
-      x[a] += by * u;
-      x[a + 1] += by * v;
-      x[a + 2] += by * w;
-      x[b] -= by * u;
-      x[b + 1] -= by * v;
-      x[b + 2] -= by * w;
+      approach(a, b, by, u, v, w);
     }
   }
 
@@ -189,12 +192,7 @@ function clothBody({ rest, faces, rods }, { stiffness = 1000, bending = 1, mass 
       const square = u * u + v * v + w * w;
       if (square >= APART * APART || square < 1e-18) continue;
       const by = (Math.sqrt(square) - APART) / (2 * Math.sqrt(square));
-      x[a] += by * u;
-      x[a + 1] += by * v;
-      x[a + 2] += by * w;
-      x[b] -= by * u;
-      x[b + 1] -= by * v;
-      x[b + 2] -= by * w;
+      approach(a, b, by, u, v, w);
     }
   }
 
